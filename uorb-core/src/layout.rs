@@ -1,0 +1,531 @@
+//! What a message is made of, so that a program can read one it never saw.
+//!
+//! A [`Layout`] lists the fields of a message with their offsets, nested
+//! messages included. The message compiler writes it as a constant, a flight
+//! log's format is turned into one, and the broker keeps it in the node file,
+//! so that `listener` prints any topic and a process that was built from
+//! another .msg text is told so instead of reading the wrong bytes.
+//!
+//! Fields stand in the order of the .msg text; padding is not listed, it is
+//! what lies between the fields. Where a layout comes from another process it
+//! is an allegation until [`Layout::check`] has passed.
+
+use std::borrow::Cow;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// The bytes of the largest message a node takes, PX4's limit: `o_size` is 16
+/// bits wide (uORB.h).
+pub const MESSAGE_SIZE_MAX_BYTES: u32 = 65_535;
+
+/// How deep messages may nest. PX4's deepest is 2; the rest is room.
+pub(crate) const NESTING_MAX: usize = 8;
+
+/// The most scalar fields and arrays a message may flatten to.
+pub(crate) const FLAT_FIELDS_MAX: usize = 8_192;
+
+/// The fields of one message, its size and its hash.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Layout {
+    /// The message's name in snake case: `sensor_accel`.
+    pub name: Cow<'static, str>,
+    /// The bytes of a message with all its padding (PX4's `o_size`).
+    pub size_bytes: u32,
+    /// PX4's message hash; 0 where the .msg text is not known, as in a log.
+    pub message_hash: u32,
+    /// The fields in the order of the .msg text. Empty: untyped, the size is
+    /// all that is known (C's two-argument `ORB_DEFINE`).
+    pub fields: Cow<'static, [Field]>,
+}
+
+/// One field of a message.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Field {
+    /// The field's name.
+    pub name: Cow<'static, str>,
+    /// What one element is.
+    pub ty: FieldType,
+    /// The number of elements, where the field is an array.
+    pub array_length: Option<u32>,
+    /// Where the field starts, in bytes from the start of its message.
+    pub offset_bytes: u32,
+    /// The unit in words of the .msg comment: `m/s^2`. Empty: none given.
+    pub unit: Cow<'static, str>,
+}
+
+/// The type of a field: one of the twelve scalars of the .msg language, or
+/// another message.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub enum FieldType {
+    Int8,
+    Int16,
+    Int32,
+    Int64,
+    Uint8,
+    Uint16,
+    Uint32,
+    Uint64,
+    Float32,
+    Float64,
+    Bool,
+    Char,
+    Message(Cow<'static, Layout>),
+}
+
+impl FieldType {
+    /// The scalar of this name in C, as `o_fields` and ULog write it.
+    pub fn from_c_name(name: &str) -> Option<Self> {
+        Some(match name {
+            "int8_t" => Self::Int8,
+            "int16_t" => Self::Int16,
+            "int32_t" => Self::Int32,
+            "int64_t" => Self::Int64,
+            "uint8_t" => Self::Uint8,
+            "uint16_t" => Self::Uint16,
+            "uint32_t" => Self::Uint32,
+            "uint64_t" => Self::Uint64,
+            "float" => Self::Float32,
+            "double" => Self::Float64,
+            "bool" => Self::Bool,
+            "char" => Self::Char,
+            _ => return None,
+        })
+    }
+
+    /// The type's name as `o_fields` and ULog write it: `float`, `esc_report`.
+    pub const fn c_name(&self) -> &str {
+        match self {
+            Self::Int8 => "int8_t",
+            Self::Int16 => "int16_t",
+            Self::Int32 => "int32_t",
+            Self::Int64 => "int64_t",
+            Self::Uint8 => "uint8_t",
+            Self::Uint16 => "uint16_t",
+            Self::Uint32 => "uint32_t",
+            Self::Uint64 => "uint64_t",
+            Self::Float32 => "float",
+            Self::Float64 => "double",
+            Self::Bool => "bool",
+            Self::Char => "char",
+            Self::Message(Cow::Borrowed(layout)) => text(&layout.name),
+            Self::Message(Cow::Owned(layout)) => text(&layout.name),
+        }
+    }
+
+    /// The type's name in the .msg language: `float32`, `esc_report`.
+    pub const fn msg_name(&self) -> &str {
+        match self {
+            Self::Int8 => "int8",
+            Self::Int16 => "int16",
+            Self::Int32 => "int32",
+            Self::Int64 => "int64",
+            Self::Uint8 => "uint8",
+            Self::Uint16 => "uint16",
+            Self::Uint32 => "uint32",
+            Self::Uint64 => "uint64",
+            Self::Float32 => "float32",
+            Self::Float64 => "float64",
+            other => other.c_name(),
+        }
+    }
+
+    /// The bytes of one element.
+    pub fn size_bytes(&self) -> u32 {
+        match self {
+            Self::Int8 | Self::Uint8 | Self::Bool | Self::Char => 1,
+            Self::Int16 | Self::Uint16 => 2,
+            Self::Int32 | Self::Uint32 | Self::Float32 => 4,
+            Self::Int64 | Self::Uint64 | Self::Float64 => 8,
+            Self::Message(layout) => layout.size_bytes,
+        }
+    }
+}
+
+impl Field {
+    /// The bytes of the whole field, all elements of an array together.
+    pub fn size_bytes(&self) -> u64 {
+        u64::from(self.ty.size_bytes()) * u64::from(self.array_length.unwrap_or(1))
+    }
+
+    /// The byte after the field's last one.
+    pub fn end_bytes(&self) -> u64 {
+        u64::from(self.offset_bytes) + self.size_bytes()
+    }
+
+    /// The field's type as `o_fields` writes it: `float[3]`.
+    pub fn c_type(&self) -> String {
+        with_length(self.ty.c_name(), self.array_length)
+    }
+
+    /// The field's type as the .msg text writes it: `float32[3]`.
+    pub fn msg_type(&self) -> String {
+        with_length(self.ty.msg_name(), self.array_length)
+    }
+}
+
+fn with_length(name: &str, array_length: Option<u32>) -> String {
+    match array_length {
+        Some(length) => format!("{name}[{length}]"),
+        None => name.to_string(),
+    }
+}
+
+/// A scalar, or an array of scalars, with the path that leads to it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FlatField {
+    /// The path from the message down: `esc[0].esc_rpm`.
+    pub path: String,
+    /// The element's type, never a message.
+    pub ty: FieldType,
+    /// The number of elements, where it is an array.
+    pub array_length: Option<u32>,
+    /// Where it starts, in bytes from the start of the outermost message.
+    pub offset_bytes: u32,
+}
+
+impl Layout {
+    /// A layout of which only the size is known.
+    pub fn untyped(name: impl Into<Cow<'static, str>>, size_bytes: u32) -> Self {
+        Self { name: name.into(), size_bytes, message_hash: 0, fields: Cow::Borrowed(&[]) }
+    }
+
+    /// Whether only the size is known.
+    pub fn is_untyped(&self) -> bool {
+        self.fields.is_empty()
+    }
+
+    /// The fields in the order in which they lie in memory.
+    pub fn fields_in_memory_order(&self) -> Vec<&Field> {
+        let mut fields: Vec<&Field> = self.fields.iter().collect();
+        fields.sort_by_key(|field| field.offset_bytes);
+        fields
+    }
+
+    /// The bytes of a message without the padding at its end: what a logger
+    /// writes (PX4's `o_size_no_padding`).
+    pub fn size_no_padding_bytes(&self) -> u32 {
+        let end = self.fields.iter().map(Field::end_bytes).max();
+        end.and_then(|end| u32::try_from(end).ok()).unwrap_or(self.size_bytes)
+    }
+
+    /// The field list as PX4's `o_fields` and ULog write it: C types in memory
+    /// order, padding as `_padding0`, each entry ending in `;`.
+    pub fn o_fields(&self) -> String {
+        use fmt::Write;
+        let mut text = String::new();
+        let mut end = 0;
+        let mut paddings = 0;
+        let mut pad = |text: &mut String, from: u64, to: u64| {
+            if to > from {
+                let _ = write!(text, "uint8_t[{}] _padding{paddings};", to - from);
+                paddings += 1;
+            }
+        };
+        for field in self.fields_in_memory_order() {
+            pad(&mut text, end, u64::from(field.offset_bytes));
+            let _ = write!(text, "{} {};", field.c_type(), field.name);
+            end = field.end_bytes();
+        }
+        if !self.is_untyped() {
+            pad(&mut text, end, u64::from(self.size_bytes));
+        }
+        text
+    }
+
+    /// All scalars and arrays of scalars in memory order, those of nested
+    /// messages included.
+    pub fn flatten(&self) -> Vec<FlatField> {
+        let mut flat = Vec::new();
+        self.flatten_into("", 0, &mut flat);
+        flat
+    }
+
+    fn flatten_into(&self, prefix: &str, base_bytes: u32, flat: &mut Vec<FlatField>) {
+        for field in self.fields_in_memory_order() {
+            let path = format!("{prefix}{}", field.name);
+            let offset_bytes = base_bytes + field.offset_bytes;
+            let FieldType::Message(nested) = &field.ty else {
+                let (ty, array_length) = (field.ty.clone(), field.array_length);
+                flat.push(FlatField { path, ty, array_length, offset_bytes });
+                continue;
+            };
+            match field.array_length {
+                None => nested.flatten_into(&format!("{path}."), offset_bytes, flat),
+                Some(length) => {
+                    for index in 0..length {
+                        let offset_bytes = offset_bytes + index * nested.size_bytes;
+                        nested.flatten_into(&format!("{path}[{index}]."), offset_bytes, flat);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Whether messages of the two layouts are the same bytes with the same
+    /// meaning: sizes and flattened field lists are equal. Equal hashes are the
+    /// shortcut; where one side has no field list the size decides.
+    pub fn matches(&self, other: &Self) -> bool {
+        if self.size_bytes != other.size_bytes {
+            return false;
+        }
+        let same_hash = self.message_hash != 0 && self.message_hash == other.message_hash;
+        same_hash || self.is_untyped() || other.is_untyped() || self.flatten() == other.flatten()
+    }
+
+    /// Checks what another process, or a file, says a message looks like:
+    /// every field lies inside its message, nothing nests or repeats without
+    /// bound, and no two fields share a name.
+    pub fn check(&self) -> Result<(), LayoutFault> {
+        if self.size_bytes == 0 || self.size_bytes > MESSAGE_SIZE_MAX_BYTES {
+            let (name, size_bytes) = (self.name.to_string(), self.size_bytes);
+            return Err(LayoutFault::Size { name, size_bytes });
+        }
+        let mut budget = FLAT_FIELDS_MAX;
+        self.check_level(1, 1, &mut budget)
+    }
+
+    fn check_level(
+        &self,
+        depth: usize,
+        copies: usize,
+        budget: &mut usize,
+    ) -> Result<(), LayoutFault> {
+        let fault = |field: &Field| LayoutFault::Field {
+            message: self.name.to_string(),
+            field: field.name.to_string(),
+        };
+        let mut end = 0;
+        for field in self.fields_in_memory_order() {
+            let named = !field.name.is_empty();
+            let sized = field.array_length != Some(0) && field.ty.size_bytes() > 0;
+            let inside = u64::from(field.offset_bytes) >= end
+                && field.end_bytes() <= u64::from(self.size_bytes);
+            if !named || !sized || !inside {
+                return Err(fault(field));
+            }
+            end = field.end_bytes();
+            let too_many = || LayoutFault::TooMany { message: self.name.to_string() };
+            match &field.ty {
+                FieldType::Message(nested) => {
+                    if depth == NESTING_MAX || nested.is_untyped() {
+                        return Err(fault(field));
+                    }
+                    let length = field.array_length.unwrap_or(1) as usize;
+                    let copies = copies.checked_mul(length).ok_or_else(too_many)?;
+                    nested.check_level(depth + 1, copies, budget)?;
+                }
+                _ => *budget = budget.checked_sub(copies).ok_or_else(too_many)?,
+            }
+        }
+        let mut names: Vec<&str> = self.fields.iter().map(|field| &*field.name).collect();
+        names.sort_unstable();
+        match names.windows(2).find(|pair| pair[0] == pair[1]) {
+            Some(pair) => Err(LayoutFault::Field {
+                message: self.name.to_string(),
+                field: pair[0].to_string(),
+            }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// What is wrong with a layout that another process or a file gave.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum LayoutFault {
+    /// The message is empty or larger than a node takes.
+    #[error("message {name} has {size_bytes} bytes; a topic takes 1 to {MESSAGE_SIZE_MAX_BYTES}")]
+    Size {
+        /// The message's name.
+        name: String,
+        /// The size it claims, in bytes.
+        size_bytes: u32,
+    },
+    /// A field lies outside its message, overlaps another, nests too deep, or
+    /// shares its name with another.
+    #[error("field {field:?} of message {message} overlaps, repeats, or lies outside the message")]
+    Field {
+        /// The message's name.
+        message: String,
+        /// The field's name.
+        field: String,
+    },
+    /// Nested arrays multiply to more fields than anyone could print.
+    #[error("message {message} has more than {FLAT_FIELDS_MAX} fields, nested ones counted")]
+    TooMany {
+        /// The message's name.
+        message: String,
+    },
+}
+
+/// PX4's message hash: FNV-1a, 32 bits, over one line a field, `float32[3] xyz`,
+/// in the order of the .msg text, a nested message's line followed by its own.
+/// Constants, comments and `# TOPICS` lines do not count.
+pub const fn message_hash(fields: &[Field]) -> u32 {
+    hash_fields(0x811c_9dc5, fields)
+}
+
+const fn hash_fields(mut hash: u32, fields: &[Field]) -> u32 {
+    let mut index = 0;
+    while index < fields.len() {
+        let field = &fields[index];
+        hash = hash_text(hash, field.ty.msg_name());
+        if let Some(length) = field.array_length {
+            hash = hash_byte(hash_number(hash_byte(hash, b'['), length), b']');
+        }
+        hash = hash_byte(hash_text(hash_byte(hash, b' '), text(&field.name)), b'\n');
+        if let FieldType::Message(nested) = &field.ty {
+            hash = match nested {
+                Cow::Borrowed(nested) => hash_fields(hash, slice(&nested.fields)),
+                Cow::Owned(nested) => hash_fields(hash, slice(&nested.fields)),
+            };
+        }
+        index += 1;
+    }
+    hash
+}
+
+const fn hash_byte(hash: u32, byte: u8) -> u32 {
+    (hash ^ byte as u32).wrapping_mul(0x0100_0193)
+}
+
+const fn hash_text(mut hash: u32, text: &str) -> u32 {
+    let bytes = text.as_bytes();
+    let mut index = 0;
+    while index < bytes.len() {
+        hash = hash_byte(hash, bytes[index]);
+        index += 1;
+    }
+    hash
+}
+
+const fn hash_number(hash: u32, number: u32) -> u32 {
+    let higher = if number >= 10 { hash_number(hash, number / 10) } else { hash };
+    hash_byte(higher, b'0' + (number % 10) as u8)
+}
+
+// `Deref` is not const, so the constants of code-defined topics look inside.
+
+const fn text<'a>(cow: &'a Cow<'static, str>) -> &'a str {
+    match cow {
+        Cow::Borrowed(text) => text,
+        Cow::Owned(text) => text.as_str(),
+    }
+}
+
+const fn slice<'a>(cow: &'a Cow<'static, [Field]>) -> &'a [Field] {
+    match cow {
+        Cow::Borrowed(fields) => fields,
+        Cow::Owned(fields) => fields.as_slice(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn field(name: &str, ty: FieldType, array_length: Option<u32>, offset_bytes: u32) -> Field {
+        Field {
+            name: name.to_string().into(),
+            ty,
+            array_length,
+            offset_bytes,
+            unit: Cow::Borrowed(""),
+        }
+    }
+
+    fn layout(name: &str, size_bytes: u32, fields: Vec<Field>) -> Layout {
+        let message_hash = message_hash(&fields);
+        Layout { name: name.to_string().into(), size_bytes, message_hash, fields: fields.into() }
+    }
+
+    fn vehicle_acceleration() -> Layout {
+        layout(
+            "vehicle_acceleration",
+            32,
+            vec![
+                field("timestamp", FieldType::Uint64, None, 0),
+                field("timestamp_sample", FieldType::Uint64, None, 8),
+                field("xyz", FieldType::Float32, Some(3), 16),
+            ],
+        )
+    }
+
+    #[test]
+    fn o_fields_is_the_text_of_px4() {
+        let layout = vehicle_acceleration();
+        assert_eq!(
+            layout.o_fields(),
+            "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz;uint8_t[4] _padding0;"
+        );
+        assert_eq!(layout.size_no_padding_bytes(), 28);
+    }
+
+    #[test]
+    fn the_message_hash_is_the_one_of_px4() {
+        assert_eq!(vehicle_acceleration().message_hash, 0x6708_8e65);
+    }
+
+    #[test]
+    fn nested_messages_flatten_to_paths() {
+        let inner = layout("esc_report", 8, vec![field("rpm", FieldType::Int32, None, 0)]);
+        let outer = layout(
+            "esc_status",
+            24,
+            vec![
+                field("esc", FieldType::Message(Cow::Owned(inner)), Some(2), 8),
+                field("timestamp", FieldType::Uint64, None, 0),
+            ],
+        );
+        outer.check().unwrap();
+        let flat: Vec<_> =
+            outer.flatten().into_iter().map(|flat| (flat.path, flat.offset_bytes)).collect();
+        assert_eq!(
+            flat,
+            [
+                ("timestamp".to_string(), 0),
+                ("esc[0].rpm".to_string(), 8),
+                ("esc[1].rpm".to_string(), 16)
+            ]
+        );
+    }
+
+    #[test]
+    fn layouts_match_by_their_fields_and_not_by_the_order_of_the_text() {
+        let ours = vehicle_acceleration();
+        let mut theirs = ours.clone();
+        theirs.message_hash = 0;
+        theirs.fields.to_mut().reverse();
+        assert!(ours.matches(&theirs));
+        theirs.fields.to_mut()[0].name = "abc".into();
+        assert!(!ours.matches(&theirs));
+        assert!(ours.matches(&Layout::untyped("vehicle_acceleration", 32)));
+        assert!(!ours.matches(&Layout::untyped("vehicle_acceleration", 28)));
+    }
+
+    #[test]
+    fn a_layout_that_lies_is_refused() {
+        let mut outside = vehicle_acceleration();
+        outside.fields.to_mut()[2].array_length = Some(5);
+        assert!(matches!(outside.check(), Err(LayoutFault::Field { field, .. }) if field == "xyz"));
+
+        let mut twice = vehicle_acceleration();
+        twice.fields.to_mut()[1].name = "xyz".into();
+        assert!(twice.check().is_err());
+
+        let mut overlap = vehicle_acceleration();
+        overlap.fields.to_mut()[1].offset_bytes = 4;
+        assert!(overlap.check().is_err());
+
+        let huge = Layout { size_bytes: 65_536, ..vehicle_acceleration() };
+        assert!(matches!(huge.check(), Err(LayoutFault::Size { size_bytes: 65_536, .. })));
+
+        let mut deep = vehicle_acceleration();
+        for _ in 0..NESTING_MAX {
+            let nested = FieldType::Message(Cow::Owned(deep));
+            deep = layout("deeper", 32, vec![field("inner", nested, None, 0)]);
+        }
+        assert!(deep.check().is_err());
+    }
+}
