@@ -406,7 +406,9 @@ const fn hash_number(hash: u32, number: u32) -> u32 {
 }
 
 // `Deref` is not const, so the constants of code-defined topics look inside.
+// That is why these take the `Cow` itself.
 
+#[allow(clippy::ptr_arg)]
 const fn text<'a>(cow: &'a Cow<'static, str>) -> &'a str {
     match cow {
         Cow::Borrowed(text) => text,
@@ -414,6 +416,7 @@ const fn text<'a>(cow: &'a Cow<'static, str>) -> &'a str {
     }
 }
 
+#[allow(clippy::ptr_arg)]
 const fn slice<'a>(cow: &'a Cow<'static, [Field]>) -> &'a [Field] {
     match cow {
         Cow::Borrowed(fields) => fields,

@@ -1,0 +1,63 @@
+//! The least time between two updates of a subscription.
+//!
+//! A subscription with an interval sees the first update at once, and then one
+//! an interval at most; what was published meanwhile is pending when the
+//! interval ends. The pacing is PX4's (SubscriptionInterval.cpp): the next
+//! interval counts from when this update was due, not from when it was copied,
+//! so that a late copy costs no rate.
+
+/// An interval, and the update it counts from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pace {
+    pub(crate) interval_us: u64,
+    last_us: u64,
+}
+
+impl Pace {
+    /// The first update is due at once.
+    pub(crate) fn new(interval_us: u64) -> Self {
+        Self { interval_us, last_us: 0 }
+    }
+
+    /// When the next update is due.
+    pub(crate) fn due_us(&self) -> u64 {
+        self.last_us.saturating_add(self.interval_us)
+    }
+
+    /// Counts on from an update that was copied now.
+    pub(crate) fn copied(&mut self, now_us: u64) {
+        let earliest = now_us.saturating_sub(self.interval_us);
+        self.last_us = self.due_us().clamp(earliest, now_us);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn late_copies_lose_no_rate() {
+        let mut pace = Pace::new(100);
+        assert!(pace.due_us() <= 1_000, "the first update is due at once");
+        pace.copied(1_000);
+        let mut copies = 0;
+        // A reader that looks every 30 us is late by up to 29 us each time.
+        for now_us in (1_000..11_000).step_by(30) {
+            if now_us >= pace.due_us() {
+                pace.copied(now_us);
+                copies += 1;
+            }
+        }
+        assert_eq!(copies, 100);
+    }
+
+    #[test]
+    fn after_a_pause_there_is_no_burst() {
+        let mut pace = Pace::new(100);
+        pace.copied(1_000);
+        pace.copied(5_000);
+        assert_eq!(pace.due_us(), 5_000, "one update may follow at once");
+        pace.copied(5_000);
+        assert_eq!(pace.due_us(), 5_100, "the next may not");
+    }
+}

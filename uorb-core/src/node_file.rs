@@ -1,0 +1,199 @@
+//! The file of a node: `obj/sensor_accel0`.
+//!
+//! Four sections, each on pages of its own, so that each has its own writers:
+//!
+//! | section | what is in it | who writes it |
+//! |---|---|---|
+//! | identity | name, instance, layout, which system and boot | the broker, once |
+//! | counts | publishers, subscribers, queue length, ended | the broker alone |
+//! | doorbell | `asked`, messages lost | subscribers |
+//! | ring | `rung`, order ring, slots | publishers |
+//!
+//! The identity is read into private memory and checked there; after that
+//! nothing that another process writes says how large anything is. Every number
+//! is in this machine's byte order: the file never leaves it.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+
+use zerocopy::{FromBytes, Immutable, IntoBytes};
+
+use crate::error::Error;
+use crate::mapping::page_bytes;
+use crate::ring::{Geometry, PUBLISHERS_MAX};
+use crate::topic::{Instance, Metadata, QueueLength, is_topic_name};
+
+/// The layout of node files that this build reads and writes.
+pub const NODE_FILE_VERSION: u32 = 1;
+
+/// The most bytes a topic's description may take in the node file.
+pub(crate) const DESCRIPTION_MAX_BYTES: usize = 64 * 1024;
+
+/// The generation before the first publish. Not 0, so that the ring always has
+/// room for the generations before it; its low 32 bits, which programs see, are.
+pub(crate) const FIRST_BASE: u64 = 1 << 32;
+
+const MAGIC: [u8; 8] = *b"uORBnode";
+
+/// The fixed head of the identity section. The description follows it.
+#[derive(FromBytes, IntoBytes, Immutable)]
+#[repr(C)]
+struct Head {
+    magic: [u8; 8],
+    version: u32,
+    page_bytes: u32,
+    system_id: u64,
+    boot_id: [u8; 16],
+    base: u64,
+    description_bytes: u32,
+    instance: u32,
+}
+
+/// Who a node is: the part of its file that never changes, in private memory.
+#[derive(Clone, Debug)]
+pub struct Identity {
+    /// The random number of the system that the node belongs to.
+    pub system_id: u64,
+    /// The machine's boot in which the node was made.
+    pub boot_id: [u8; 16],
+    /// Which of the topic's nodes it is.
+    pub instance: Instance,
+    /// The generation before the first publish.
+    pub base: u64,
+    /// Name, layout, and the queue length that the .msg text asks for.
+    pub metadata: Metadata,
+}
+
+/// Where the sections of a node's file start, in bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Sections {
+    pub(crate) counts: usize,
+    pub(crate) doorbell: usize,
+    pub(crate) ring: usize,
+}
+
+impl Sections {
+    fn behind(identity_bytes: usize) -> Self {
+        let page = page_bytes();
+        let counts = identity_bytes.next_multiple_of(page);
+        Self { counts, doorbell: counts + page, ring: counts + 2 * page }
+    }
+}
+
+/// Words of the counts section.
+pub(crate) mod counts {
+    /// Not 0: the system has ended, or the node gave way to another layout.
+    pub(crate) const ENDED: usize = 0;
+    /// The queue length; 0 until the first publisher was admitted.
+    pub(crate) const QUEUE_LENGTH: usize = 1;
+    /// Publishers that are advertised.
+    pub(crate) const PUBLISHERS: usize = 2;
+    /// Subscriptions.
+    pub(crate) const SUBSCRIBERS: usize = 3;
+    /// One word a publisher: `handle << 32 | priority << 16 | peer`, 0: free.
+    pub(crate) const ENTRIES: usize = 8;
+}
+
+/// Words of the doorbell section, a cache line each.
+pub(crate) mod doorbell {
+    pub(crate) const ASKED: usize = 0;
+    pub(crate) const LOST: usize = 8;
+}
+
+/// Words of the ring section.
+pub(crate) mod ring_section {
+    pub(crate) const RUNG: usize = 0;
+    pub(crate) const TABLES: usize = 8;
+}
+
+impl Identity {
+    /// The geometry of the node's ring with a queue of this length.
+    pub(crate) fn geometry(&self, queue_length: QueueLength) -> Geometry {
+        Geometry::new(queue_length.get(), PUBLISHERS_MAX, self.metadata.layout.size_bytes)
+    }
+
+    /// The bytes of the node's whole file with a queue of this length.
+    pub(crate) fn file_bytes(&self, sections: Sections, queue_length: QueueLength) -> usize {
+        let words = ring_section::TABLES + self.geometry(queue_length).words();
+        sections.ring + (words * size_of::<u64>()).next_multiple_of(page_bytes())
+    }
+
+    /// The bytes of the identity section, and where the others go.
+    pub(crate) fn to_bytes(&self) -> Result<(Vec<u8>, Sections), Error> {
+        let description = postcard::to_stdvec(&self.metadata).expect("plain data serialises");
+        if description.len() > DESCRIPTION_MAX_BYTES {
+            return Err(Error::DescriptionTooLong {
+                topic: self.metadata.name.to_string(),
+                size_bytes: description.len(),
+            });
+        }
+        let head = Head {
+            magic: MAGIC,
+            version: NODE_FILE_VERSION,
+            page_bytes: page_bytes() as u32,
+            system_id: self.system_id,
+            boot_id: self.boot_id,
+            base: self.base,
+            description_bytes: description.len() as u32,
+            instance: self.instance.number().into(),
+        };
+        let mut bytes = head.as_bytes().to_vec();
+        bytes.extend_from_slice(&description);
+        let sections = Sections::behind(bytes.len());
+        Ok((bytes, sections))
+    }
+
+    /// Reads and checks the identity of a node's file.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NodeVersion`] where another build wrote it, and
+    /// [`Error::CorruptNode`] where it is not what a broker writes.
+    pub(crate) fn read(file: &File, path: &Path) -> Result<(Self, Sections), Error> {
+        let corrupt = |what: &str| Error::CorruptNode { path: path.into(), what: what.into() };
+        let mut bytes = [0; size_of::<Head>()];
+        file.read_exact_at(&mut bytes, 0).map_err(|_| corrupt("it is too short"))?;
+        let head: Head = zerocopy::transmute!(bytes);
+        if head.magic != MAGIC {
+            return Err(corrupt("it does not begin as one"));
+        }
+        if head.version != NODE_FILE_VERSION {
+            return Err(Error::NodeVersion { path: path.into(), found: head.version });
+        }
+        if head.page_bytes as usize != page_bytes() {
+            return Err(corrupt("it was made with another page size"));
+        }
+        let description_bytes = head.description_bytes as usize;
+        if description_bytes > DESCRIPTION_MAX_BYTES {
+            return Err(corrupt("its description is too long"));
+        }
+        let mut description = vec![0; description_bytes];
+        file.read_exact_at(&mut description, size_of::<Head>() as u64)
+            .map_err(|_| corrupt("its description is cut off"))?;
+        let metadata: Metadata = postcard::from_bytes(&description)
+            .map_err(|_| corrupt("its description cannot be read"))?;
+        if !is_topic_name(&metadata.name) {
+            return Err(corrupt("its name is not a topic's"));
+        }
+        metadata.layout.check().map_err(|fault| corrupt(&fault.to_string()))?;
+        let instance = u8::try_from(head.instance).ok().and_then(Instance::new);
+        let identity = Self {
+            system_id: head.system_id,
+            boot_id: head.boot_id,
+            instance: instance.ok_or_else(|| corrupt("its instance is out of range"))?,
+            base: head.base,
+            metadata,
+        };
+        Ok((identity, Sections::behind(size_of::<Head>() + description_bytes)))
+    }
+}
+
+/// The machine's current boot, as 16 bytes.
+pub fn boot_id() -> Result<[u8; 16], Error> {
+    let path = Path::new("/proc/sys/kernel/random/boot_id");
+    let text = std::fs::read_to_string(path).map_err(|error| Error::io("read", path, error))?;
+    let digits: String = text.chars().filter(char::is_ascii_hexdigit).collect();
+    let number = u128::from_str_radix(&digits, 16).unwrap_or(0);
+    Ok(number.to_be_bytes())
+}

@@ -1,0 +1,593 @@
+//! The newest messages of a node, for any number of publishers and readers,
+//! without a lock.
+//!
+//! A ring is two tables in shared memory. **Slots** hold messages. The **order
+//! ring** says which slot holds which generation: generation `g` is named by
+//! word `g % N`, as `g << 16 | slot`. A message exists from the instant its
+//! word is written, which is its *commit*; before that nobody can see it, so
+//! generations are dense and there is never anything to skip.
+//!
+//! To publish: claim a slot that no order word names any more, write it, and
+//! commit it by compare-exchange as the next generation; whoever comes second
+//! commits behind. To read generation `g`: load its word, copy the slot, load
+//! the word again; if it is unchanged the copy is whole.
+//!
+//! There are N = max(4, 2Q) order words for a queue of Q messages, and N + P
+//! slots for P publishers, so that a slot being written is never one that a
+//! reader may still ask for, and a publisher that was stopped or killed in
+//! mid-publish holds one slot and blocks nobody. A reader asks for the newest Q
+//! only: a publisher would have to come round half the ring under its hands to
+//! make it try again.
+//!
+//! Generations have 48 bits here. Whatever other processes write, nothing in
+//! this file indexes outside its tables or loops without an end: bounds come
+//! from a [`Geometry`] in private memory.
+
+use crate::sync::{AtomicU64, Ordering, fence};
+use std::mem::MaybeUninit;
+
+/// How many publishers a node admits: each may hold one slot at any time.
+pub const PUBLISHERS_MAX: u32 = 16;
+
+/// The bits of a slot number in an order word, and of a peer in an owner word.
+const LOW_BITS: u32 = 16;
+const LOW_MASK: u64 = (1 << LOW_BITS) - 1;
+
+/// 64-bit words in a cache line, the unit in which the tables are aligned.
+const LINE_WORDS: usize = 8;
+
+// A slot: who may write it, when and by whom it was published, the message.
+const OWNER: usize = 0;
+const PUBLISH_TIME: usize = 1;
+const PUBLISHER: usize = 2;
+const PAYLOAD: usize = 3;
+
+/// Rounds of the slot table that a publish makes before it says busy. With at
+/// most [`PUBLISHERS_MAX`] handles one round finds a slot; more are needed only
+/// when threads outnumber the handles that they share.
+const CLAIM_ROUNDS: usize = 64;
+
+/// The sizes of a ring, all that is needed to find one's way in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Geometry {
+    queue_length: usize,
+    order_words: usize,
+    slots: usize,
+    slot_words: usize,
+    message_bytes: usize,
+}
+
+impl Geometry {
+    pub(crate) fn new(queue_length: u32, publishers: u32, message_bytes: u32) -> Self {
+        let order_words = (2 * queue_length as usize).max(4);
+        let payload_words = (message_bytes as usize).div_ceil(8);
+        Self {
+            queue_length: queue_length as usize,
+            order_words,
+            slots: order_words + publishers as usize,
+            slot_words: (PAYLOAD + payload_words).next_multiple_of(LINE_WORDS),
+            message_bytes: message_bytes as usize,
+        }
+    }
+
+    /// The 64-bit words that both tables take together.
+    pub(crate) fn words(&self) -> usize {
+        self.order_line_words() + self.slots * self.slot_words
+    }
+
+    fn order_line_words(&self) -> usize {
+        self.order_words.next_multiple_of(LINE_WORDS)
+    }
+}
+
+/// What stands beside a message in its slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stamp {
+    pub(crate) publish_time_us: u64,
+    /// The publisher as [`Writer::publisher`] gave it.
+    pub(crate) publisher: u64,
+}
+
+/// A message that was read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Taken {
+    pub(crate) generation: u64,
+    /// Messages between the cursor and this one that were overwritten before
+    /// they were read.
+    pub(crate) lost: u64,
+    pub(crate) stamp: Stamp,
+}
+
+/// All slots are taken by publishes that other threads have under way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Busy;
+
+/// The order words contradict each other: something wrote into the ring that is
+/// not a publisher.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Corrupt;
+
+/// A publisher's private memory between two publishes.
+#[derive(Debug)]
+pub(crate) struct Writer {
+    /// Peer number, 1 to 65,535: it owns the slots that this writer claims.
+    peer: u16,
+    /// Peer and handle: who published, in every slot.
+    publisher: u64,
+    /// The newest generation this writer knows of.
+    newest: u64,
+    /// The slot to try first: the one that its last commit displaced.
+    candidate: usize,
+}
+
+impl Writer {
+    pub(crate) fn new(peer: u16, handle: u32) -> Self {
+        debug_assert_ne!(peer, 0, "peer 0 marks a free slot");
+        Self { peer, publisher: Self::publisher(peer, handle), newest: 0, candidate: 0 }
+    }
+
+    /// Peer and handle in one word, as [`Stamp`] carries it.
+    pub(crate) fn publisher(peer: u16, handle: u32) -> u64 {
+        u64::from(handle) << LOW_BITS | u64::from(peer)
+    }
+}
+
+/// The two tables, wherever they are mapped.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ring<'m> {
+    order: &'m [AtomicU64],
+    slots: &'m [AtomicU64],
+    geometry: Geometry,
+    /// The generation before the first publish.
+    base: u64,
+}
+
+fn generation_of(word: u64) -> u64 {
+    word >> LOW_BITS
+}
+
+fn word(generation: u64, low: u64) -> u64 {
+    generation << LOW_BITS | low
+}
+
+impl<'m> Ring<'m> {
+    /// The ring in `words`, which are `geometry.words()` many.
+    pub(crate) fn new(words: &'m [AtomicU64], geometry: Geometry, base: u64) -> Self {
+        let (order, slots) = words.split_at(geometry.order_line_words());
+        let order = &order[..geometry.order_words];
+        assert_eq!(slots.len(), geometry.slots * geometry.slot_words);
+        Self { order, slots, geometry, base }
+    }
+
+    /// Makes an empty ring of zeroed words. The broker does it before anybody
+    /// else can see the node.
+    pub(crate) fn format(&self) {
+        for back in 0..self.geometry.order_words as u64 {
+            let generation = self.base - back;
+            self.order_word(generation).store(word(generation, LOW_MASK), Ordering::Relaxed);
+        }
+    }
+
+    #[inline]
+    fn order_word(&self, generation: u64) -> &'m AtomicU64 {
+        // A power of two: the remainder is a mask.
+        &self.order[generation as usize & (self.geometry.order_words - 1)]
+    }
+
+    fn slot(&self, slot: usize) -> Option<&'m [AtomicU64]> {
+        let words = self.geometry.slot_words;
+        if slot < self.geometry.slots {
+            self.slots.get(slot * words..(slot + 1) * words)
+        } else {
+            None
+        }
+    }
+
+    /// Whether anything newer than `cursor` was committed: one load.
+    ///
+    /// Sequentially consistent, because a subscription that goes to sleep looks
+    /// once more after it has asked for the bell (see `bell.rs`). On x86-64 and
+    /// aarch64 that costs a load what acquire costs.
+    #[inline]
+    pub(crate) fn has_newer(&self, cursor: u64) -> bool {
+        generation_of(self.order_word(cursor + 1).load(Ordering::SeqCst)) > cursor
+    }
+
+    /// The newest committed generation, found from any committed one.
+    ///
+    /// Commits are dense, so "generation k is committed" is true up to the
+    /// newest and false beyond; steps double while it is true and halve when it
+    /// is not. A word may hold a later lap of the ring, and then we jump there.
+    #[inline]
+    pub(crate) fn newest(&self, known: u64) -> u64 {
+        let mut newest = known;
+        let mut step = 1;
+        loop {
+            // Pairs with the commit: who sees a generation sees all before it.
+            let seen = generation_of(self.order_word(newest + step).load(Ordering::Acquire));
+            if seen >= newest + step {
+                newest = seen;
+                step = (step * 2).min(self.geometry.order_words as u64);
+            } else if step > 1 {
+                step /= 2;
+            } else {
+                return newest;
+            }
+        }
+    }
+
+    /// The newest generation, for whoever knows none.
+    pub(crate) fn newest_of_all(&self) -> u64 {
+        let words = self.order.iter().map(|word| word.load(Ordering::Acquire));
+        self.newest(words.map(generation_of).max().unwrap_or(self.base).max(self.base))
+    }
+
+    /// Whether nothing was ever published.
+    pub(crate) fn is_empty(&self) -> bool {
+        !self.has_newer(self.base)
+    }
+
+    /// Publishes `message`, `message_bytes` long, and returns its generation.
+    /// Never waits for anybody.
+    #[inline]
+    pub(crate) fn publish(
+        &self,
+        writer: &mut Writer,
+        publish_time_us: u64,
+        message: &[u8],
+    ) -> Result<u64, Busy> {
+        debug_assert_eq!(message.len(), self.geometry.message_bytes);
+        let (index, slot) = self.claim(writer)?;
+        // Pairs with the acquire fence in `read`: a reader that sees one word of
+        // what follows also sees that the order ring no longer names this slot.
+        fence(Ordering::Release);
+        slot[PUBLISH_TIME].store(publish_time_us, Ordering::Relaxed);
+        slot[PUBLISHER].store(writer.publisher, Ordering::Relaxed);
+        store_words(&slot[PAYLOAD..], message);
+
+        let (generation, displaced) = self.commit(writer, index, slot);
+        // The slot is free for whoever finds it displaced, N commits from now.
+        slot[OWNER].store(word(generation, 0), Ordering::Release);
+        writer.newest = generation;
+        writer.candidate = displaced;
+        Ok(generation)
+    }
+
+    /// Takes a slot that nobody owns and no order word names: its generation is
+    /// N or more behind the newest. There is one, because N are named, each
+    /// other publisher holds one at most, and there are N + P.
+    #[inline]
+    fn claim(&self, writer: &mut Writer) -> Result<(usize, &'m [AtomicU64]), Busy> {
+        writer.newest = self.newest(writer.newest.max(self.base));
+        if let Some(slot) = self.try_claim(writer, writer.candidate) {
+            return Ok((writer.candidate, slot));
+        }
+        self.claim_any(writer)
+    }
+
+    #[cold]
+    fn claim_any(&self, writer: &mut Writer) -> Result<(usize, &'m [AtomicU64]), Busy> {
+        for _ in 0..CLAIM_ROUNDS {
+            writer.newest = self.newest(writer.newest);
+            for index in 0..self.geometry.slots {
+                if let Some(slot) = self.try_claim(writer, index) {
+                    return Ok((index, slot));
+                }
+            }
+        }
+        Err(Busy)
+    }
+
+    #[inline]
+    fn try_claim(&self, writer: &Writer, index: usize) -> Option<&'m [AtomicU64]> {
+        let slot = self.slot(index)?;
+        let owner = slot[OWNER].load(Ordering::Relaxed);
+        let generation = generation_of(owner);
+        let displaced = generation + self.geometry.order_words as u64 <= writer.newest;
+        if owner & LOW_MASK != 0 || !displaced {
+            return None;
+        }
+        let ours = word(generation, u64::from(writer.peer));
+        // Acquire pairs with the release that freed the slot: its last owner has
+        // finished writing.
+        slot[OWNER]
+            .compare_exchange(owner, ours, Ordering::Acquire, Ordering::Relaxed)
+            .is_ok()
+            .then_some(slot)
+    }
+
+    /// Makes the slot the next generation. Returns that and the slot that its
+    /// order word named before.
+    #[inline]
+    fn commit(&self, writer: &Writer, index: usize, slot: &[AtomicU64]) -> (u64, usize) {
+        let mut newest = writer.newest;
+        loop {
+            let next = newest + 1;
+            // Before the commit, so that nobody takes the slot for an old one
+            // when we are killed right after it.
+            slot[OWNER].store(word(next, u64::from(writer.peer)), Ordering::Relaxed);
+            let entry = self.order_word(next);
+            let old = entry.load(Ordering::Acquire);
+            if generation_of(old) < next {
+                // The success is sequentially consistent for the bell: a
+                // subscription that asked before it, we see asking after it.
+                let new = word(next, index as u64);
+                let committed =
+                    entry.compare_exchange(old, new, Ordering::SeqCst, Ordering::Acquire);
+                if committed.is_ok() {
+                    return (next, (old & LOW_MASK) as usize);
+                }
+            }
+            // Somebody was first: commit behind whoever is newest now.
+            newest = self.newest(newest);
+        }
+    }
+
+    /// Copies what a reader at `cursor` is to see next into `into`, which is
+    /// `message_bytes` long: the next generation; if that is no longer among
+    /// the newest Q, the oldest of those; if there is nothing newer, the newest
+    /// again. None if nothing was ever published.
+    #[inline]
+    pub(crate) fn take(
+        &self,
+        cursor: u64,
+        into: &mut [MaybeUninit<u8>],
+    ) -> Result<Option<Taken>, Corrupt> {
+        debug_assert_eq!(into.len(), self.geometry.message_bytes);
+        let mut newest = self.newest(cursor);
+        if newest == self.base {
+            return Ok(None);
+        }
+        loop {
+            let oldest = newest.saturating_sub(self.geometry.queue_length as u64 - 1);
+            let generation = if newest == cursor { cursor } else { oldest.max(cursor + 1) };
+            if let Some(stamp) = self.read(generation, into)? {
+                let lost = generation.saturating_sub(cursor + 1);
+                return Ok(Some(Taken { generation, lost, stamp }));
+            }
+            newest = self.advance(newest)?;
+        }
+    }
+
+    /// The newest generation after one that could not be read. It was
+    /// overwritten, so publishers came round half the ring while we copied one
+    /// message, and the newest is another; if not, nobody overwrote it.
+    fn advance(&self, known: u64) -> Result<u64, Corrupt> {
+        match self.newest(known) {
+            newest if newest > known => Ok(newest),
+            _ => Err(Corrupt),
+        }
+    }
+
+    /// Copies one generation, if it is still there. None if it is overwritten.
+    #[inline]
+    pub(crate) fn read(
+        &self,
+        generation: u64,
+        into: &mut [MaybeUninit<u8>],
+    ) -> Result<Option<Stamp>, Corrupt> {
+        let entry = self.order_word(generation);
+        // Pairs with the commit: who sees the word sees the message.
+        let before = entry.load(Ordering::Acquire);
+        if generation_of(before) > generation {
+            return Ok(None);
+        }
+        let slot = self.slot((before & LOW_MASK) as usize).ok_or(Corrupt)?;
+        if generation_of(before) < generation {
+            return Err(Corrupt);
+        }
+        let stamp = Stamp {
+            publish_time_us: slot[PUBLISH_TIME].load(Ordering::Relaxed),
+            publisher: slot[PUBLISHER].load(Ordering::Relaxed),
+        };
+        load_words(&slot[PAYLOAD..], into);
+        // Pairs with the release fence in `publish`: if any word came from a
+        // later message in this slot, the order word has changed.
+        fence(Ordering::Acquire);
+        Ok((entry.load(Ordering::Relaxed) == before).then_some(stamp))
+    }
+
+    /// The stamp of the newest message, without the message.
+    pub(crate) fn newest_stamp(&self, known: u64) -> Result<Option<Stamp>, Corrupt> {
+        let mut newest = self.newest(known.max(self.base));
+        if newest == self.base {
+            return Ok(None);
+        }
+        loop {
+            if let Some(stamp) = self.read(newest, &mut [])? {
+                return Ok(Some(stamp));
+            }
+            newest = self.advance(newest)?;
+        }
+    }
+
+    /// Gives back the slots of a peer that is proven dead. Only the broker may,
+    /// and a stopped peer is not dead: its slot would be written by two.
+    pub(crate) fn free_slots_of(&self, peer: u16) {
+        for index in 0..self.geometry.slots {
+            let Some(slot) = self.slot(index) else { return };
+            let owner = slot[OWNER].load(Ordering::Acquire);
+            if owner & LOW_MASK != u64::from(peer) {
+                continue;
+            }
+            // It died before its commit, and then the slot is not named and may
+            // be taken at once; or after, and then its generation says until
+            // when it is named.
+            let generation = generation_of(owner);
+            let named = self.order_word(generation).load(Ordering::SeqCst)
+                == word(generation, index as u64);
+            slot[OWNER].store(word(if named { generation } else { 0 }, 0), Ordering::Release);
+        }
+    }
+}
+
+/// Writes a message into words that others may be reading: each word whole.
+#[inline]
+fn store_words(words: &[AtomicU64], message: &[u8]) {
+    let (whole, rest) = message.as_chunks::<8>();
+    for (word, bytes) in words.iter().zip(whole) {
+        word.store(u64::from_ne_bytes(*bytes), Ordering::Relaxed);
+    }
+    if let (Some(word), false) = (words.get(whole.len()), rest.is_empty()) {
+        let mut bytes = [0; 8];
+        bytes[..rest.len()].copy_from_slice(rest);
+        word.store(u64::from_ne_bytes(bytes), Ordering::Relaxed);
+    }
+}
+
+/// Reads a message from words that others may be writing: each word whole.
+#[inline]
+fn load_words(words: &[AtomicU64], into: &mut [MaybeUninit<u8>]) {
+    let (whole, rest) = into.as_chunks_mut::<8>();
+    let whole_words = whole.len();
+    for (word, bytes) in words.iter().zip(whole) {
+        *bytes = word.load(Ordering::Relaxed).to_ne_bytes().map(MaybeUninit::new);
+    }
+    if let (Some(word), false) = (words.get(whole_words), rest.is_empty()) {
+        let bytes = word.load(Ordering::Relaxed).to_ne_bytes().map(MaybeUninit::new);
+        rest.copy_from_slice(&bytes[..rest.len()]);
+    }
+}
+
+#[cfg(all(test, not(loom)))]
+#[allow(unsafe_code)]
+mod tests {
+    use super::*;
+
+    const BASE: u64 = 1 << 32;
+
+    struct Memory {
+        words: Vec<AtomicU64>,
+        geometry: Geometry,
+        base: u64,
+    }
+
+    impl Memory {
+        fn new(queue_length: u32, message_bytes: u32, base: u64) -> Self {
+            let geometry = Geometry::new(queue_length, PUBLISHERS_MAX, message_bytes);
+            let words = (0..geometry.words()).map(|_| AtomicU64::new(0)).collect();
+            let memory = Self { words, geometry, base };
+            memory.ring().format();
+            memory
+        }
+
+        fn ring(&self) -> Ring<'_> {
+            Ring::new(&self.words, self.geometry, self.base)
+        }
+    }
+
+    fn take(ring: &Ring, cursor: &mut u64) -> Option<(Vec<u8>, u64)> {
+        let mut message = vec![MaybeUninit::uninit(); ring.geometry.message_bytes];
+        let taken = ring.take(*cursor, &mut message).unwrap()?;
+        *cursor = taken.generation;
+        // SAFETY: `take` has filled the whole message.
+        let message = message.iter().map(|byte| unsafe { byte.assume_init() }).collect();
+        Some((message, taken.lost))
+    }
+
+    #[test]
+    fn messages_of_every_length_come_back_whole() {
+        for length in 1..=40 {
+            let memory = Memory::new(1, length, BASE);
+            let (ring, mut writer, mut cursor) = (memory.ring(), Writer::new(1, 7), BASE);
+            assert!(ring.is_empty() && take(&ring, &mut cursor).is_none());
+            let message: Vec<u8> = (1..=length as u8).collect();
+            assert_eq!(ring.publish(&mut writer, 99, &message), Ok(BASE + 1));
+            assert_eq!(take(&ring, &mut cursor), Some((message, 0)));
+            let stamp = ring.newest_stamp(BASE).unwrap().unwrap();
+            assert_eq!(stamp, Stamp { publish_time_us: 99, publisher: Writer::publisher(1, 7) });
+        }
+    }
+
+    #[test]
+    fn a_reader_that_fell_behind_gets_the_newest_q_in_order() {
+        for queue_length in [1_u64, 2, 4, 16, 128] {
+            for base in [BASE, (1 << 33) - queue_length / 2] {
+                let memory = Memory::new(queue_length as u32, 8, base);
+                let (ring, mut writer, mut cursor) = (memory.ring(), Writer::new(1, 0), base);
+                for value in 0..queue_length + 3 {
+                    ring.publish(&mut writer, 0, &value.to_ne_bytes()).unwrap();
+                }
+                assert_eq!(ring.newest_of_all(), base + queue_length + 3);
+                for value in 3..queue_length + 3 {
+                    assert!(ring.has_newer(cursor));
+                    let lost = if value == 3 { 3 } else { 0 };
+                    assert_eq!(take(&ring, &mut cursor), Some((value.to_ne_bytes().into(), lost)));
+                }
+                assert!(!ring.has_newer(cursor));
+                let last = (queue_length + 2).to_ne_bytes().into();
+                assert_eq!(take(&ring, &mut cursor), Some((last, 0)));
+            }
+        }
+    }
+
+    #[test]
+    fn a_publisher_that_died_before_its_commit_costs_a_slot_until_it_is_freed() {
+        let memory = Memory::new(1, 8, BASE);
+        let ring = memory.ring();
+        // As many peers as the node admits die with a claimed slot each.
+        for peer in 1..=PUBLISHERS_MAX as u16 {
+            ring.claim(&mut Writer::new(peer, 0)).unwrap();
+        }
+        let mut writer = Writer::new(100, 0);
+        assert_eq!(
+            ring.publish(&mut writer, 0, &[0; 8]),
+            Ok(BASE + 1),
+            "N slots are not named yet"
+        );
+        for value in 0..100_u64 {
+            if ring.publish(&mut writer, 0, &value.to_ne_bytes()) == Err(Busy) {
+                for peer in 1..=PUBLISHERS_MAX as u16 {
+                    ring.free_slots_of(peer);
+                }
+                assert!(ring.publish(&mut writer, 0, &value.to_ne_bytes()).is_ok());
+                return;
+            }
+        }
+        panic!("seventeen handles never ran out of sixteen slots");
+    }
+
+    #[test]
+    fn a_publisher_that_died_after_its_commit_has_published() {
+        let memory = Memory::new(1, 8, BASE);
+        let ring = memory.ring();
+        let mut dead = Writer::new(1, 0);
+        let (index, slot) = ring.claim(&mut dead).unwrap();
+        slot[PAYLOAD].store(42, Ordering::Relaxed);
+        ring.commit(&dead, index, slot);
+        ring.free_slots_of(1);
+
+        let mut cursor = BASE;
+        assert_eq!(take(&ring, &mut cursor), Some((42_u64.to_ne_bytes().into(), 0)));
+        // The slot is not taken while it is named.
+        let mut writer = Writer::new(2, 0);
+        for value in 0..3_u64 {
+            let (claimed, _) = ring.claim(&mut writer).unwrap();
+            assert_ne!(claimed, index);
+            ring.free_slots_of(2);
+            ring.publish(&mut writer, 0, &value.to_ne_bytes()).unwrap();
+        }
+    }
+
+    #[test]
+    fn random_words_never_lead_outside_the_tables_or_round_for_ever() {
+        use std::hash::{BuildHasher, RandomState};
+        let hasher = RandomState::new();
+        for round in 0..2_000_u64 {
+            let memory = Memory::new(1 << (round % 4), 24, BASE);
+            for (index, word) in memory.words.iter().enumerate() {
+                let random = hasher.hash_one((round, index));
+                // Half of the generations near the base, where they hurt most.
+                let near = ((BASE + random % 64) << LOW_BITS) | (random >> 58);
+                word.store(if random & 1 == 0 { random } else { near }, Ordering::Relaxed);
+            }
+            let ring = memory.ring();
+            let mut message = [MaybeUninit::uninit(); 24];
+            let _ = ring.take(BASE, &mut message);
+            let _ = ring.take(ring.newest_of_all(), &mut message);
+            let _ = ring.newest_stamp(BASE);
+            let _ = ring.publish(&mut Writer::new(9, 0), 0, &[0; 24]);
+            ring.free_slots_of(9);
+        }
+    }
+}

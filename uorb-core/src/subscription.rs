@@ -1,0 +1,494 @@
+//! Following a node.
+//!
+//! A subscription is a cursor: the generation that it last copied. Whether
+//! there is anything new is one load; copying is one look at the ring. It knows
+//! nothing of other subscriptions, and publishers know nothing of it, unless it
+//! sleeps.
+//!
+//! It is a real file descriptor too (`AsFd`), for poll(2), epoll, tokio and
+//! mio: readable while there is something to copy. One that never asks for its
+//! descriptor pays nothing for it. What holds of the descriptor:
+//!
+//! * Readable is a hint, [`RawSubscription::updated`] decides.
+//! * Copy until nothing is new before you wait again: edge-triggered epoll,
+//!   tokio's among them, reports a descriptor that stays readable only once.
+//! * One handle, one waiter: of two threads that wait on it, or on a duplicate
+//!   of the descriptor, either may take the other's wake.
+
+#![allow(unsafe_code)]
+
+use std::fmt;
+use std::marker::PhantomData;
+use std::mem::MaybeUninit;
+use std::ops::{Deref, DerefMut};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, RawFd};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use crate::clock::now_us;
+use crate::descriptor::Descriptor;
+use crate::error::Error;
+use crate::generation::Generation;
+use crate::interval::Pace;
+use crate::node::{Node, Role};
+use crate::protocol::Subject;
+use crate::ring::Taken;
+use crate::session::{Followed, Session, Waiting};
+use crate::topic::{Instance, Metadata, Priority, Topic};
+
+/// A subscription to a topic whose layout is known at run time only. What it
+/// copies is bytes.
+#[derive(Debug)]
+pub struct RawSubscription {
+    /// None until the topic is described.
+    node: Option<Arc<Node>>,
+    /// The generation that was copied last.
+    cursor: u64,
+    pace: Option<Pace>,
+    descriptor: OnceLock<Descriptor>,
+    lost: u64,
+    last: Option<Copied>,
+    /// The ring contradicts itself: nothing can be copied from it.
+    is_corrupt: bool,
+    waiting: Option<Arc<Waiting>>,
+    topic: String,
+    instance: Instance,
+    session: Session,
+    handle: u32,
+}
+
+/// What is known of a message besides its bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Copied {
+    /// How many messages were published up to it.
+    pub generation: Generation,
+    /// When it was published, in microseconds of CLOCK_MONOTONIC.
+    pub publish_time_us: u64,
+    /// The process that published it, as the broker numbers them.
+    pub peer: u16,
+}
+
+impl RawSubscription {
+    /// Follows a topic by its name, whatever its layout is. Where nobody has
+    /// described the topic yet, nothing is new until somebody has.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Refused`] for a name that is none; [`Error::NoBroker`].
+    pub fn subscribe(session: &Session, topic: &str, instance: Instance) -> Result<Self, Error> {
+        Self::follow(session, Subject::Named(topic.to_string()), instance)
+    }
+
+    /// Follows a topic that somebody has described already; None where nobody
+    /// has (PX4's optional topics, `ORB_DEFINE_OPTIONAL`: ENOENT).
+    ///
+    /// # Errors
+    ///
+    /// As [`RawSubscription::subscribe`].
+    #[doc(alias = "ORB_DEFINE_OPTIONAL")]
+    pub fn subscribe_optional(
+        session: &Session,
+        topic: &str,
+        instance: Instance,
+    ) -> Result<Option<Self>, Error> {
+        match session.describe(topic) {
+            Ok(metadata) => {
+                Self::follow(session, Subject::Named(metadata.name.into()), instance).map(Some)
+            }
+            Err(Error::NoNode { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn follow(session: &Session, subject: Subject, instance: Instance) -> Result<Self, Error> {
+        let topic = subject.name().to_string();
+        let (handle, followed) = session.subscribe(subject, instance)?;
+        let (node, waiting) = match followed {
+            Followed::Node(node) => (Some(node), None),
+            Followed::Waiting(waiting) => (None, Some(waiting)),
+        };
+        Ok(Self {
+            cursor: node.as_ref().map_or(0, |node| node.cursor_of_newcomer()),
+            node,
+            pace: None,
+            descriptor: OnceLock::new(),
+            lost: 0,
+            last: None,
+            is_corrupt: false,
+            waiting,
+            topic,
+            instance,
+            session: session.clone(),
+            handle,
+        })
+    }
+
+    /// Whether there is anything that was not copied yet, and its interval, if
+    /// it has one, is over. Stays true until it is copied.
+    #[doc(alias = "orb_check")]
+    #[inline]
+    pub fn updated(&mut self) -> bool {
+        let Some(node) = &self.node else { return self.updated_once_described() };
+        let updated = node.has_newer(self.cursor) && self.is_due();
+        if !updated && self.descriptor.get().is_some() {
+            self.settle();
+        }
+        updated
+    }
+
+    #[cold]
+    fn updated_once_described(&mut self) -> bool {
+        matches!(self.attach(), Ok(true)) && self.updated()
+    }
+
+    #[inline]
+    fn is_due(&self) -> bool {
+        self.pace.is_none_or(|pace| now_us() >= pace.due_us())
+    }
+
+    /// Goes from waiting for the topic to following its node, if it is there.
+    pub(crate) fn attach(&mut self) -> Result<bool, Error> {
+        let Some(waiting) = self.waiting.clone().filter(|waiting| waiting.is_over()) else {
+            return Ok(self.node.is_some());
+        };
+        let node = self.session.node(&self.topic, self.instance, Role::Subscriber)?;
+        if let Some(descriptor) = self.descriptor.get() {
+            descriptor.attach(&node)?;
+            descriptor.stop_waiting(&waiting);
+        }
+        // Whatever was published since the topic was described came after the
+        // subscription; the newest of it is pending.
+        self.cursor = node.cursor_of_newcomer();
+        self.node = Some(node);
+        self.waiting = None;
+        Ok(true)
+    }
+
+    /// Copies the next message into `message`, which takes its bytes; the last
+    /// one again if nothing is new. False if nothing was ever published.
+    #[doc(alias = "orb_copy")]
+    pub fn copy(&mut self, message: &mut Vec<u8>) -> bool {
+        if !matches!(self.attach(), Ok(true)) {
+            return false;
+        }
+        let Some(node) = &self.node else { return false };
+        let size_bytes = node.identity.metadata.layout.size_bytes as usize;
+        message.clear();
+        message.reserve(size_bytes);
+        if !self.copy_into(&mut message.spare_capacity_mut()[..size_bytes]) {
+            return false;
+        }
+        // SAFETY: `copy_into` said that it has written this many bytes.
+        unsafe { message.set_len(size_bytes) };
+        true
+    }
+
+    /// Copies the next message into a buffer of the layout's size. True means
+    /// that all of it was written.
+    #[inline]
+    fn copy_into(&mut self, into: &mut [MaybeUninit<u8>]) -> bool {
+        let Some(node) = &self.node else { return false };
+        let taken = match node.take(self.cursor, into) {
+            Ok(Some(taken)) => taken,
+            Ok(None) => return false,
+            Err(_) => {
+                self.is_corrupt = true;
+                return false;
+            }
+        };
+        let Taken { generation, lost, stamp } = taken;
+        self.cursor = generation;
+        self.last = Some(Copied {
+            generation: Generation::from_wide(generation),
+            publish_time_us: stamp.publish_time_us,
+            peer: stamp.publisher as u16,
+        });
+        match &mut self.pace {
+            // What an interval skips is not lost: nobody wanted it.
+            Some(pace) => pace.copied(now_us()),
+            None if lost > 0 => {
+                self.lost += lost;
+                node.count_lost(lost);
+            }
+            None => {}
+        }
+        if self.descriptor.get().is_some() {
+            self.settle();
+        }
+        true
+    }
+
+    /// Makes a descriptor that somebody holds readable exactly if there is
+    /// something to copy. Called whenever that may have changed by our doing.
+    fn settle(&self) {
+        let (Some(descriptor), Some(node)) = (self.descriptor.get(), &self.node) else { return };
+        if !descriptor.is_public.load(Ordering::Relaxed) {
+            return;
+        }
+        if let Some(pace) = self.pace
+            && now_us() < pace.due_us()
+        {
+            // The timer says when to look again, whatever is published.
+            descriptor.consume();
+            if descriptor.mute_until(pace.due_us()).is_ok() {
+                return;
+            }
+        }
+        if descriptor.is_muted() {
+            descriptor.stop_timer();
+            descriptor.hear_bell();
+        }
+        if node.has_newer(self.cursor) {
+            return;
+        }
+        descriptor.consume();
+        if descriptor.ask(node, self.cursor) {
+            // It came in between, and its ring may have been consumed.
+            descriptor.hear_bell();
+        }
+    }
+
+    /// Makes the descriptor, so that `as_fd` cannot fail later.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoDescriptors`] where the process has none left.
+    pub fn open_descriptor(&self) -> Result<(), Error> {
+        let descriptor = self.descriptor()?;
+        if !descriptor.is_public.swap(true, Ordering::Relaxed) {
+            // What `poll` has consumed until now is readable again.
+            descriptor.hear_bell();
+            self.settle();
+        }
+        Ok(())
+    }
+
+    pub(crate) fn descriptor(&self) -> Result<&Descriptor, Error> {
+        if let Some(descriptor) = self.descriptor.get() {
+            return Ok(descriptor);
+        }
+        let made = Descriptor::new(self.node.as_deref(), self.waiting.as_deref())?;
+        Ok(self.descriptor.get_or_init(|| made))
+    }
+
+    /// What hinders it from ever being updated: the session is not this
+    /// process's or has ended, or the node is broken.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        self.session.check()?;
+        let Some(node) = &self.node else { return Ok(()) };
+        if node.has_ended() {
+            return Err(self.session.ended());
+        }
+        if self.is_corrupt {
+            let what = "its ring contradicts itself".into();
+            return Err(Error::CorruptNode { path: node.name().into(), what });
+        }
+        node.check()
+    }
+
+    /// When the interval ends, if one is running.
+    pub(crate) fn hold_off_until_us(&self) -> Option<u64> {
+        self.pace.map(|pace| pace.due_us()).filter(|due_us| now_us() < *due_us)
+    }
+
+    /// Asks to be woken. True: there is something new already.
+    pub(crate) fn ask(&self) -> Result<bool, Error> {
+        let descriptor = self.descriptor()?;
+        Ok(self.node.as_ref().is_some_and(|node| descriptor.ask(node, self.cursor)))
+    }
+
+    /// Shows at most one update in this time; zero: all of them.
+    ///
+    /// A subscription with an interval loses nothing by it: what was published
+    /// meanwhile is pending when the interval ends, and `poll` wakes then.
+    #[doc(alias = "orb_set_interval")]
+    pub fn set_interval(&mut self, interval: Duration) {
+        let interval_us = u64::try_from(interval.as_micros()).unwrap_or(u64::MAX);
+        self.pace = (interval_us > 0).then(|| Pace::new(interval_us));
+        self.settle();
+    }
+
+    /// The least time between two updates; zero where none is set.
+    #[doc(alias = "orb_get_interval")]
+    pub fn interval(&self) -> Duration {
+        Duration::from_micros(self.pace.map_or(0, |pace| pace.interval_us))
+    }
+
+    /// Messages that were overwritten before this subscription copied them.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// What is known of the message that was copied last.
+    pub fn last_copied(&self) -> Option<Copied> {
+        self.last
+    }
+
+    /// Messages that were published and not copied yet, those included that
+    /// are overwritten already and will count as lost.
+    pub fn pending(&self) -> u64 {
+        self.node.as_ref().map_or(0, |node| node.newest(self.cursor).saturating_sub(self.cursor))
+    }
+
+    /// When the newest message was published, in microseconds of
+    /// CLOCK_MONOTONIC. None if nothing ever was.
+    #[doc(alias = "orb_stat")]
+    pub fn last_publish_time_us(&self) -> Option<u64> {
+        self.node.as_ref()?.newest_stamp().map(|stamp| stamp.publish_time_us)
+    }
+
+    /// The instance's priority: that of its newest publisher.
+    #[doc(alias = "orb_priority")]
+    pub fn priority(&self) -> Priority {
+        self.node.as_ref().map(|node| node.priority()).unwrap_or_default()
+    }
+
+    /// Whether the instance has a publisher.
+    pub fn advertised(&mut self) -> bool {
+        matches!(self.attach(), Ok(true))
+            && self.node.as_ref().is_some_and(|node| node.publishers() > 0)
+    }
+
+    /// Whether the system has ended. What was published can still be copied.
+    pub fn has_ended(&self) -> bool {
+        self.session.has_ended() || self.node.as_ref().is_some_and(|node| node.has_ended())
+    }
+
+    /// The topic's name.
+    pub fn topic(&self) -> &str {
+        &self.topic
+    }
+
+    /// The instance that it follows.
+    pub fn instance(&self) -> Instance {
+        self.instance
+    }
+
+    /// The topic as its node describes it; None until somebody has described
+    /// it.
+    pub fn metadata(&mut self) -> Option<&Metadata> {
+        let _ = self.attach();
+        self.node.as_ref().map(|node| &node.identity.metadata)
+    }
+}
+
+impl AsFd for RawSubscription {
+    /// The descriptor that is readable while there is something to copy.
+    ///
+    /// # Panics
+    ///
+    /// If the process has no descriptors left. Call
+    /// [`RawSubscription::open_descriptor`] first to have that as an error.
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        match self.open_descriptor().and_then(|()| self.descriptor()) {
+            Ok(descriptor) => descriptor.as_fd(),
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+impl AsRawFd for RawSubscription {
+    fn as_raw_fd(&self) -> RawFd {
+        self.as_fd().as_raw_fd()
+    }
+}
+
+impl Drop for RawSubscription {
+    fn drop(&mut self) {
+        self.session.unsubscribe(self.handle);
+    }
+}
+
+/// A subscription to topic `T`.
+///
+/// It is also a [`RawSubscription`], for whatever does not depend on the type.
+pub struct Subscription<T: Topic> {
+    raw: RawSubscription,
+    topic: PhantomData<fn() -> T>,
+}
+
+impl<T: Topic> Subscription<T> {
+    /// Follows instance 0. If anything was ever published there, the newest is
+    /// pending.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::LayoutMismatch`] while a live process uses the topic with
+    /// another layout; [`Error::NoSpace`]; [`Error::NoBroker`].
+    #[doc(alias = "orb_subscribe")]
+    pub fn subscribe(session: &Session) -> Result<Self, Error> {
+        Self::subscribe_instance(session, Instance::FIRST)
+    }
+
+    /// Follows one of the topic's instances, whether it was advertised or not.
+    ///
+    /// # Errors
+    ///
+    /// As [`Subscription::subscribe`].
+    #[doc(alias = "orb_subscribe_multi")]
+    pub fn subscribe_instance(session: &Session, instance: Instance) -> Result<Self, Error> {
+        let subject = Subject::Described(T::METADATA.clone());
+        let raw = RawSubscription::follow(session, subject, instance)?;
+        Ok(Self { raw, topic: PhantomData })
+    }
+
+    /// Copies the next message: the oldest that was not copied and is still
+    /// there, or the last one again. None if nothing was ever published.
+    #[doc(alias = "orb_copy")]
+    #[inline]
+    pub fn copy(&mut self) -> Option<T::Message> {
+        let mut message = MaybeUninit::<T::Message>::uninit();
+        // SAFETY: the slice is the message's memory, as bytes that need not be
+        // initialised, and `message` is not used while it lives.
+        let into = unsafe {
+            std::slice::from_raw_parts_mut(
+                message.as_mut_ptr().cast::<MaybeUninit<u8>>(),
+                size_of::<T::Message>(),
+            )
+        };
+        if !self.raw.copy_into(into) {
+            return None;
+        }
+        // SAFETY: `copy_into` said that it has written every byte, and
+        // `FromBytes` says that any bytes are a message.
+        Some(unsafe { message.assume_init() })
+    }
+
+    /// Copies the next message if there is anything new.
+    #[inline]
+    pub fn update(&mut self) -> Option<T::Message> {
+        if self.raw.updated() { self.copy() } else { None }
+    }
+}
+
+impl<T: Topic> Deref for Subscription<T> {
+    type Target = RawSubscription;
+    fn deref(&self) -> &RawSubscription {
+        &self.raw
+    }
+}
+
+impl<T: Topic> DerefMut for Subscription<T> {
+    fn deref_mut(&mut self) -> &mut RawSubscription {
+        &mut self.raw
+    }
+}
+
+impl<T: Topic> AsFd for Subscription<T> {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.raw.as_fd()
+    }
+}
+
+impl<T: Topic> AsRawFd for Subscription<T> {
+    fn as_raw_fd(&self) -> RawFd {
+        self.raw.as_raw_fd()
+    }
+}
+
+impl<T: Topic> fmt::Debug for Subscription<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.raw.fmt(f)
+    }
+}
