@@ -4,8 +4,8 @@
 //! needed, whether two topics or two Rust types would have one name, and
 //! whether a message contains itself.
 
-use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::fault::{Fault, Notes};
 use crate::message::{self, Message, Messages, Type};
@@ -39,7 +39,8 @@ pub(crate) fn resolve(files: Vec<File>) -> Messages {
         all_notes.push(notes);
     }
     break_cycles(&mut messages.list, &mut all_notes);
-    refuse_equal_names(&messages.list, &mut all_notes);
+    refuse_equal_topics(&messages.list, &mut all_notes);
+    refuse_equal_types(&messages.list, &mut all_notes);
     for notes in all_notes {
         messages.faults.extend(notes.faults);
         messages.warnings.extend(notes.warnings);
@@ -120,43 +121,47 @@ fn visit(
     done[place] = true;
 }
 
-/// Two topics must not have one name, and neither must two Rust types.
-fn refuse_equal_names(list: &[Message], notes: &mut [Notes]) {
-    let mut topics: BTreeMap<&str, usize> = BTreeMap::new();
-    for message in list {
+fn refuse_equal_topics(list: &[Message], notes: &mut [Notes]) {
+    let mut owners: BTreeMap<&str, &str> = BTreeMap::new();
+    for (message, notes) in list.iter().zip(notes) {
         for topic in &message.topics {
-            *topics.entry(&topic.name).or_default() += 1;
+            if let Some(other) = owners.insert(&topic.name, &message.path) {
+                let text = format!("topic `{}` is defined already, by {other}", topic.name);
+                notes.fault(topic.line, text);
+            }
         }
     }
-    let mut topic_owners: BTreeMap<&str, &str> = BTreeMap::new();
-    let mut type_owners: BTreeMap<String, &str> = BTreeMap::new();
+}
+
+/// A message is a Rust type, and so is every topic that is not named as its
+/// message; `group_1` and `group1` would both be `Group1`.
+fn refuse_equal_types(list: &[Message], notes: &mut [Notes]) {
+    let mut owners: BTreeMap<String, &str> = BTreeMap::new();
+    owners.insert("OrbId".to_string(), "every module");
+    // Two topics of one name have their fault already.
+    let mut seen: BTreeSet<&str> = BTreeSet::new();
     for (message, notes) in list.iter().zip(&mut *notes) {
+        seen.extend(message.topics.iter().map(|topic| &*topic.name).filter(|n| *n == message.name));
         let type_name = names::camel_case(&message.name);
-        if let Some(other) = type_owners.get(&type_name) {
-            notes.fault(None, format!("this would be the Rust type `{type_name}`, as {other}"));
-        } else {
-            type_owners.insert(type_name, &message.path);
+        match owners.get(&type_name) {
+            Some(other) => {
+                let text = format!("this would be the Rust type `{type_name}`, which {other} has");
+                notes.fault(None, text);
+            }
+            None => {
+                owners.insert(type_name, &message.path);
+            }
         }
     }
     for (message, notes) in list.iter().zip(notes) {
-        for topic in &message.topics {
-            let (name, line) = (&*topic.name, topic.line);
-            if topics[name] > 1 {
-                if let Some(other) = topic_owners.insert(name, &message.path) {
-                    notes.fault(line, format!("topic `{name}` is defined already, by {other}"));
-                }
-            } else if *name != message.name {
-                let type_name = names::camel_case(name);
-                let owner = match &*type_name {
-                    "OrbId" => Some("every folder"),
-                    _ => type_owners.insert(type_name.clone(), &message.path),
-                };
-                if let Some(other) = owner {
-                    let text = format!(
-                        "topic `{name}` would be the Rust type `{type_name}`, which {other} has"
-                    );
-                    notes.fault(line, text);
-                }
+        for topic in message.topics.iter().filter(|topic| seen.insert(&topic.name)) {
+            let type_name = names::camel_case(&topic.name);
+            if let Some(other) = owners.insert(type_name.clone(), &message.path) {
+                let name = &topic.name;
+                let text = format!(
+                    "topic `{name}` would be the Rust type `{type_name}`, which {other} has"
+                );
+                notes.fault(topic.line, text);
             }
         }
     }

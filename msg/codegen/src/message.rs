@@ -85,9 +85,11 @@ pub(crate) fn resolve(
 ) -> Message {
     if !names::is_word(&name) {
         notes.fault(None, format!("`{name}` cannot be a message's name: letters, digits and `_`"));
-    } else if matches!(names::camel_case(&name).as_str(), "Self" | "OrbId") {
-        notes
-            .fault(None, format!("message `{name}` needs another name: this one is taken in Rust"));
+    } else if names::camel_case(&name) == "Self" {
+        notes.fault(
+            None,
+            format!("message `{name}` needs another name: in Rust this one is a keyword"),
+        );
     }
     refuse_doubles(&ast, notes);
     let queue_length = queue_length(&ast.constants, notes);
@@ -138,13 +140,16 @@ fn queue_length(constants: &[Constant], notes: &mut Notes) -> u32 {
             length as u32
         }
         value => {
-            let value = match value {
-                Value::Int(value) => value.to_string(),
-                Value::Float(value) => value.to_string(),
+            let (value, near) = match value {
+                Value::Int(value @ 3..=QUEUE_LENGTH_MAX) => {
+                    (value.to_string(), format!("; write {}", (value as u32).next_power_of_two()))
+                }
+                Value::Int(value) => (value.to_string(), String::new()),
+                Value::Float(value) => (value.to_string(), String::new()),
             };
             let text = format!(
                 "`ORB_QUEUE_LENGTH = {value}`: a queue's length is a power of two up to \
-                 {QUEUE_LENGTH_MAX}"
+                 {QUEUE_LENGTH_MAX}{near}"
             );
             notes.fault(constant.line, text);
             1

@@ -23,6 +23,19 @@ pub(crate) fn snake_case(name: &str) -> String {
     snake
 }
 
+/// A field's name without capitals, as PX4 changed its own: `altitudeSp` to
+/// `altitude_sp`, `periph_5V_OC` to `periph_5v_oc`.
+pub(crate) fn lower_case(name: &str) -> String {
+    let mut lower = String::with_capacity(name.len() + 2);
+    for letter in name.chars() {
+        if letter.is_ascii_uppercase() && lower.ends_with(|last: char| last.is_ascii_lowercase()) {
+            lower.push('_');
+        }
+        lower.push(letter);
+    }
+    lower.to_ascii_lowercase()
+}
+
 /// The name of a Rust type: `actuator_controls_1` becomes `ActuatorControls1`.
 pub(crate) fn camel_case(snake: &str) -> String {
     let mut camel = String::with_capacity(snake.len());

@@ -53,7 +53,7 @@ fn a_field_is_a_type_and_a_name() {
 fn field_names_work_in_all_languages() {
     check(
         "float32 voltage5V_v",
-        &["1: field `voltage5V_v` has capital letters; write `voltage5_v_v`"],
+        &["1: field `voltage5V_v` has capital letters; write `voltage5v_v`"],
     );
     check(
         "float32 altitudeSp",
@@ -137,11 +137,10 @@ fn a_timestamp_is_a_uint64() {
 
 #[test]
 fn a_queue_length_is_a_power_of_two() {
-    for wrong in ["0", "3", "256"] {
-        let text = format!("uint16 ORB_QUEUE_LENGTH = {wrong}");
-        let start =
-            format!("1: `ORB_QUEUE_LENGTH = {wrong}`: a queue's length is a power of two..");
-        check(&text, &[&start]);
+    let rule = "a queue's length is a power of two up to 128";
+    for (wrong, near) in [("0", ""), ("3", "; write 4"), ("65", "; write 128"), ("256", "")] {
+        let expected = format!("1: `ORB_QUEUE_LENGTH = {wrong}`: {rule}{near}");
+        check(&format!("uint16 ORB_QUEUE_LENGTH = {wrong}"), &[&expected]);
     }
     check("float32 ORB_QUEUE_LENGTH = 4", &["1: `ORB_QUEUE_LENGTH = 4`: .."]);
     check("uint8 ORB_QUEUE_LENGTH = 128", &[]);
@@ -176,7 +175,7 @@ fn names_are_given_once_among_all_files() {
     let structs = Config::new().text("group_1.msg", "").text("group1.msg", "");
     compare(
         &faults(structs),
-        &["group_1.msg: this would be the Rust type `Group1`, as group1.msg"],
+        &["group_1.msg: this would be the Rust type `Group1`, which group1.msg has"],
         Fault::to_string,
     );
 
@@ -187,7 +186,11 @@ fn names_are_given_once_among_all_files() {
         Fault::to_string,
     );
     let id = Config::new().text("orb_id.msg", "");
-    compare(&faults(id), &["orb_id.msg: message `orb_id` needs another name.."], Fault::to_string);
+    compare(
+        &faults(id),
+        &["orb_id.msg: this would be the Rust type `OrbId`, which every module has"],
+        Fault::to_string,
+    );
     check("# TOPICS test orb_id", &["1: topic `orb_id` would be the Rust type `OrbId`, .."]);
 }
 
