@@ -74,6 +74,7 @@ fn clock(criterion: &mut Criterion) {
 }
 
 /// A private system with a broker.
+#[derive(Debug)]
 struct Bus {
     system: System,
     base: PathBuf,
