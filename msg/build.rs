@@ -1,0 +1,3 @@
+fn main() -> Result<(), uorb_codegen::Error> {
+    uorb_codegen::compile(".")
+}

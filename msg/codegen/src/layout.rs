@@ -1,0 +1,177 @@
+//! Where the fields of a message lie, as PX4 lays them out.
+//!
+//! Fields are sorted by the size of their elements, the largest first and
+//! nested messages last, otherwise as the text has them. Then every field is
+//! aligned by itself, and padding is needed in two places only: before a
+//! nested message and at the end, to multiples of 8. It is written out as
+//! fields (`_padding0`), so that a logger can tell every byte.
+
+use crate::fault::Fault;
+use crate::message::{Field, Message, Messages, Type};
+
+/// The bytes of the largest message: PX4's `o_size` is 16 bits wide.
+const MESSAGE_SIZE_MAX_BYTES: u64 = 65_535;
+
+/// How deep messages may nest, and to how many fields they may flatten: what
+/// `uorb_core::Layout::check` lets through.
+const NESTING_MAX: usize = 8;
+const FLAT_FIELDS_MAX: u64 = 8_192;
+
+/// A message's members in memory order, and its sizes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Layout {
+    pub(crate) members: Vec<Member>,
+    pub(crate) size_bytes: u64,
+    /// Without the padding at the end; padding before a nested message counts.
+    pub(crate) size_no_padding_bytes: u64,
+    pub(crate) message_hash: u32,
+    /// How many levels of messages there are, this one included.
+    depth: usize,
+    /// How many scalars and arrays of scalars, those of nested ones included.
+    flat_fields: u64,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Member {
+    Field {
+        /// The field's place in the text.
+        index: usize,
+        offset_bytes: u64,
+    },
+    Padding {
+        /// Which padding of the message: the 0 of `_padding0`.
+        number: u32,
+        length_bytes: u64,
+    },
+}
+
+/// Lays out all messages, in their order, and says which are too large.
+pub(crate) fn lay_out(messages: &Messages) -> (Vec<Layout>, Vec<Fault>) {
+    let layouts = vec![None; messages.list.len()];
+    let mut table = Table { messages, layouts, faults: Vec::new() };
+    for place in 0..messages.list.len() {
+        table.lay_out(place);
+    }
+    (table.layouts.into_iter().flatten().collect(), table.faults)
+}
+
+/// The layouts so far; a nested message's comes before its outer one's.
+struct Table<'a> {
+    messages: &'a Messages,
+    layouts: Vec<Option<Layout>>,
+    faults: Vec<Fault>,
+}
+
+impl Table<'_> {
+    fn lay_out(&mut self, place: usize) {
+        if self.layouts[place].is_some() {
+            return;
+        }
+        let message = &self.messages.list[place];
+        let (mut depth, mut flat_fields) = (1, 0);
+        let mut sizes = Vec::with_capacity(message.fields.len());
+        for field in &message.fields {
+            let count = u64::from(field.array_length.unwrap_or(1));
+            let element_bytes = match field.ty {
+                Type::Scalar(scalar) => {
+                    flat_fields += 1;
+                    u64::from(scalar.size_bytes())
+                }
+                Type::Message(inner) => {
+                    self.lay_out(inner);
+                    let inner = self.layouts[inner].as_ref();
+                    depth = depth.max(1 + inner.map_or(0, |inner| inner.depth));
+                    // One that is too large has its fault already, and is not
+                    // multiplied until the numbers overflow.
+                    let inner_fields = inner.map_or(0, |inner| inner.flat_fields);
+                    flat_fields += count * inner_fields.min(FLAT_FIELDS_MAX + 1);
+                    inner.map_or(0, |inner| inner.size_bytes).min(MESSAGE_SIZE_MAX_BYTES + 1)
+                }
+            };
+            sizes.push((field.ty, element_bytes * count));
+        }
+        let (members, size_no_padding_bytes, size_bytes) = place_members(&sizes);
+        let message_hash = hash_fields(0x811c_9dc5, message, self.messages);
+        let layout =
+            Layout { members, size_bytes, size_no_padding_bytes, message_hash, depth, flat_fields };
+        let largest = sizes.iter().enumerate().max_by_key(|(_, (_, bytes))| *bytes);
+        if let Some((largest, _)) = largest {
+            self.faults.extend(fault(message, &layout, &message.fields[largest]));
+        }
+        self.layouts[place] = Some(layout);
+    }
+}
+
+/// Places fields of these types and whole sizes: the members in memory order,
+/// the end of the last one, and that end padded.
+fn place_members(fields: &[(Type, u64)]) -> (Vec<Member>, u64, u64) {
+    let mut order: Vec<usize> = (0..fields.len()).collect();
+    // A stable sort: equal ones stay as the text has them.
+    order.sort_by_key(|&index| match fields[index].0 {
+        Type::Scalar(scalar) => 8 - scalar.size_bytes(),
+        Type::Message(_) => 8,
+    });
+    let mut members = Vec::new();
+    let mut end = 0;
+    let mut paddings = 0;
+    let mut pad = |members: &mut Vec<Member>, end: u64| {
+        let padded = end.next_multiple_of(8);
+        if padded > end {
+            members.push(Member::Padding { number: paddings, length_bytes: padded - end });
+            paddings += 1;
+        }
+        padded
+    };
+    for index in order {
+        let (ty, size_bytes) = fields[index];
+        if matches!(ty, Type::Message(_)) {
+            end = pad(&mut members, end);
+        }
+        members.push(Member::Field { index, offset_bytes: end });
+        end += size_bytes;
+    }
+    let padded = pad(&mut members, end);
+    (members, end, padded)
+}
+
+/// What no node would take: a message too large, too deep, or too manifold.
+fn fault(message: &Message, layout: &Layout, largest: &Field) -> Option<Fault> {
+    let (name, field) = (&message.name, &largest.name);
+    let text = if layout.size_bytes > MESSAGE_SIZE_MAX_BYTES {
+        let bytes = layout.size_bytes;
+        format!(
+            "message `{name}` has {bytes} bytes, most of them in `{field}`; a topic takes at most \
+             {MESSAGE_SIZE_MAX_BYTES}"
+        )
+    } else if layout.depth > NESTING_MAX {
+        format!("messages nest more than {NESTING_MAX} levels deep in `{name}`")
+    } else if layout.flat_fields > FLAT_FIELDS_MAX {
+        let count = layout.flat_fields;
+        format!(
+            "message `{name}` has {count} fields, nested ones counted, most of them in `{field}`; \
+             a topic takes at most {FLAT_FIELDS_MAX}"
+        )
+    } else {
+        return None;
+    };
+    Some(Fault { path: message.path.clone(), line: Some(largest.line), text })
+}
+
+/// PX4's message hash: FNV-1a over one line a field, `float32[3] xyz`, in the
+/// order of the text, a nested message's line followed by its own.
+fn hash_fields(mut hash: u32, message: &Message, messages: &Messages) -> u32 {
+    for field in &message.fields {
+        let name = messages.type_name(field);
+        let line = match field.array_length {
+            Some(length) => format!("{name}[{length}] {}\n", field.name),
+            None => format!("{name} {}\n", field.name),
+        };
+        for byte in line.bytes() {
+            hash = (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
+        }
+        if let Some(nested) = messages.nested(field) {
+            hash = hash_fields(hash, nested, messages);
+        }
+    }
+    hash
+}

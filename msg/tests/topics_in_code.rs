@@ -1,0 +1,53 @@
+//! Topics that are defined in code, as the first uORB documents define theirs.
+
+use uorb_core::{Message, Topic};
+
+uorb_core::topic! {
+    /// One random number.
+    pub struct RandomInteger = "random_integer" {
+        /// The number.
+        pub r: i32,
+    }
+}
+
+uorb_core::topic! {
+    /// What is published on all color topics.
+    pub struct ColorUpdate {
+        /// How often the color was seen.
+        pub number: i32,
+    }
+    pub topic ColorRed = "color_red";
+    pub topic ColorTimeouts = "color_timeouts";
+}
+
+uorb_core::topic! {
+    /// A battery that watches itself.
+    pub struct OwnBattery = "own_battery" {
+        /// What PX4's message has of it.
+        pub battery: uorb_msg::BatteryStatus,
+        /// How often it was charged.
+        pub charges: [u16; 4],
+    }
+}
+
+#[test]
+fn a_random_integer_is_exactly_four_bytes() {
+    assert_eq!(size_of::<RandomInteger>(), 4);
+    let layout = &RandomInteger::METADATA.layout;
+    assert_eq!((layout.size_bytes, layout.o_fields()), (4, "int32_t r;".to_string()));
+    assert_eq!(RandomInteger::METADATA.name, "random_integer");
+}
+
+#[test]
+fn several_topics_of_code_can_share_a_struct() {
+    assert_eq!(ColorRed::METADATA.name, "color_red");
+    assert_eq!(ColorTimeouts::METADATA.name, "color_timeouts");
+    assert_eq!(ColorRed::METADATA.layout, ColorTimeouts::METADATA.layout);
+}
+
+#[test]
+fn a_struct_of_code_can_contain_a_message_of_a_file() {
+    OwnBattery::LAYOUT.check().unwrap();
+    let flat = OwnBattery::LAYOUT.flatten();
+    assert!(flat.iter().any(|field| field.path == "battery.voltage_v"));
+}
