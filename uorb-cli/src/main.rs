@@ -6,8 +6,10 @@
 
 mod context;
 mod exit;
+mod fields;
 mod interrupt;
 mod ls;
+mod nearest;
 
 use std::io::{self, BufWriter, Write};
 use std::process::ExitCode;
