@@ -17,17 +17,21 @@ pub(crate) fn did_you_mean<'n>(wanted: &str, names: impl Iterator<Item = &'n str
 
 fn nearest<'n>(wanted: &str, names: impl Iterator<Item = &'n str>) -> Vec<&'n str> {
     let wanted = wanted.to_ascii_lowercase();
-    // A slip in three letters, or a name of which only a part was given.
+    // A slip in three letters is one. A name of which a part was given is near.
     let far = wanted.len().div_ceil(3);
     let mut near: Vec<(usize, &str)> = names
         .filter_map(|name| {
             let distance = damerau_levenshtein(&wanted, &name.to_ascii_lowercase());
             let is_part = wanted.len() >= 3 && name.contains(&wanted);
-            (distance <= far || is_part).then_some((distance, name))
+            let distance = if is_part { distance.min(1) } else { distance };
+            (distance <= far).then_some((distance, name))
         })
         .collect();
     near.sort();
     near.dedup();
+    // What is much nearer than the others was meant.
+    let nearest = near.first().map_or(0, |(distance, _)| *distance);
+    near.retain(|(distance, _)| *distance <= nearest + 1);
     near.into_iter().map(|(_, name)| name).take(SUGGESTIONS_MAX).collect()
 }
 
