@@ -10,6 +10,10 @@ mod fields;
 mod interrupt;
 mod ls;
 mod nearest;
+mod start;
+mod status;
+mod stop;
+mod topics;
 
 use std::io::{self, BufWriter, Write};
 use std::process::ExitCode;
@@ -37,6 +41,9 @@ Examples:
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Start(start::Args),
+    Stop(stop::Args),
+    Status(status::Args),
     Ls(ls::Args),
 }
 
@@ -50,6 +57,9 @@ fn main() -> ExitCode {
 fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
     let context = Context::new(&cli.place)?;
     match &cli.command {
+        Command::Start(args) => start::run(args, &context),
+        Command::Stop(args) => stop::run(args, &context),
+        Command::Status(args) => status::run(args, &context, out),
         Command::Ls(args) => ls::run(args, &context, out),
     }
 }
