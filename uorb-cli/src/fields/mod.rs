@@ -15,7 +15,7 @@ pub(crate) mod json;
 pub(crate) mod path;
 mod quote;
 #[cfg(test)]
-mod samples;
+pub(crate) mod samples;
 pub(crate) mod text;
 
 use std::ops::Range;

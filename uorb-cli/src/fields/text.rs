@@ -45,11 +45,6 @@ pub(crate) fn print(
     Ok(())
 }
 
-/// Prints a message of which only the size is known.
-pub(crate) fn print_untyped(out: &mut dyn Write, message: &[u8]) -> io::Result<()> {
-    writeln!(out, "untyped: {}", hex(message))
-}
-
 /// Bytes as hexadecimal digits.
 pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
