@@ -7,6 +7,7 @@
 mod context;
 mod exit;
 mod fields;
+mod info;
 mod interrupt;
 mod listener;
 mod ls;
@@ -50,6 +51,7 @@ enum Command {
     Status(status::Args),
     Listener(listener::Args),
     Ls(ls::Args),
+    Info(info::Args),
     Pub(publish::Args),
 }
 
@@ -84,6 +86,7 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Stop(args) => stop::run(args, &context),
         Command::Status(args) => status::run(args, &context, out),
         Command::Listener(args) => listener::run(args, &context, out),
+        Command::Info(args) => info::run(args, &context, out),
         Command::Pub(args) => publish::run(args, &context),
         Command::Ls(args) => ls::run(args, &context, out),
     }
