@@ -87,7 +87,7 @@ pub use self::{
         Field, FieldType, FlatField, Layout, LayoutFault, MESSAGE_SIZE_MAX_BYTES, message_hash,
     },
     poll::poll,
-    protocol::{Claim, Mismatch, Refusal},
+    protocol::{Claim, Mismatch, PeerInfo, Refusal},
     publication::{AdvertiseOptions, Publication, RawPublication},
     session::Session,
     subscription::{Copied, RawSubscription, Subscription},
