@@ -17,6 +17,7 @@ mod publish;
 mod start;
 mod status;
 mod stop;
+mod test;
 mod topics;
 
 use std::io::{self, BufWriter, Write};
@@ -53,6 +54,7 @@ enum Command {
     Ls(ls::Args),
     Info(info::Args),
     Pub(publish::Args),
+    Test(test::Args),
 }
 
 /// What the program is when it is called `listener`.
@@ -88,6 +90,7 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Listener(args) => listener::run(args, &context, out),
         Command::Info(args) => info::run(args, &context, out),
         Command::Pub(args) => publish::run(args, &context),
+        Command::Test(args) => test::run(args, &context, out),
         Command::Ls(args) => ls::run(args, &context, out),
     }
 }
