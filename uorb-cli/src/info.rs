@@ -9,10 +9,12 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use anyhow::bail;
+use clap_complete::ArgValueCandidates;
 use serde::Serialize;
 use uorb_core::broker_side::{Node, NodeStatus, PeerInfo, Reply, Request, Role, Users};
 use uorb_core::{Error, FieldType, Instance, Layout, Metadata, Session, now_us};
 
+use crate::completions::topic_names;
 use crate::context::Context;
 use crate::topics;
 
@@ -21,6 +23,7 @@ use crate::topics;
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     /// The topic
+    #[arg(add = ArgValueCandidates::new(topic_names))]
     topic: String,
 
     /// Print one JSON object instead

@@ -4,6 +4,7 @@
 //! what one expects; the exit codes are in `exit.rs`. Installed under the name
 //! `listener` or `px4-listener` it is `uorb listener`.
 
+mod completions;
 mod context;
 mod exit;
 mod fields;
@@ -11,6 +12,7 @@ mod info;
 mod interrupt;
 mod listener;
 mod ls;
+mod man;
 mod nearest;
 mod print;
 mod publish;
@@ -24,7 +26,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::context::{Context, Place};
 
@@ -40,10 +42,17 @@ struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
-  uorb start                       start the broker
-  uorb ls /obj                     list the nodes, as `ls /obj` does
+  uorb start                              start the broker
+  uorb listener sensor_accel 5            show five messages
+  uorb pub orb_test val=5                 publish one
+  uorb info sensor_accel                  fields, publishers, subscribers
+  uorb ls /obj                            list the nodes, as `ls /obj` does
+  uorb stop                               stop the broker
 
-`uorb help COMMAND` has more.";
+`uorb help COMMAND` has more, with examples.
+
+Exit codes: 0 done, 1 an error, 2 a command line that makes no sense, 124 a
+timeout, 130 Ctrl-C before what was asked for was done.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -55,23 +64,28 @@ enum Command {
     Info(info::Args),
     Pub(publish::Args),
     Test(test::Args),
+    Completions(completions::Args),
+    Man(man::Args),
 }
 
-/// What the program is when it is called `listener`.
+// What the program is when it is called `listener`. The words are those of the
+// subcommand, which a doc comment here would replace.
 #[derive(Debug, Parser)]
 #[command(name = "listener", version)]
 struct ListenerCli {
     #[command(flatten)]
-    place: Place,
-    #[command(flatten)]
     args: listener::Args,
+    #[command(flatten)]
+    place: Place,
 }
 
 fn main() -> ExitCode {
     let name = std::env::args_os().next().unwrap_or_default();
     let name = Path::new(&name).file_name().unwrap_or_default();
-    let cli = if name == "listener" || name == "px4-listener" {
-        let ListenerCli { place, args } = ListenerCli::parse();
+    let is_listener = name == "listener" || name == "px4-listener";
+    completions::answer(if is_listener { ListenerCli::command } else { Cli::command });
+    let cli = if is_listener {
+        let ListenerCli { args, place } = ListenerCli::parse();
         Cli { place, command: Command::Listener(args) }
     } else {
         Cli::parse()
@@ -91,6 +105,8 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Info(args) => info::run(args, &context, out),
         Command::Pub(args) => publish::run(args, &context),
         Command::Test(args) => test::run(args, &context, out),
+        Command::Completions(args) => completions::run(args, out),
+        Command::Man(args) => man::run(args, Cli::command(), out),
         Command::Ls(args) => ls::run(args, &context, out),
     }
 }
