@@ -40,11 +40,51 @@ pub(crate) fn code(ended: anyhow::Result<()>) -> ExitCode {
         Some(Early::TimedOut(_)) => TIMED_OUT,
         None => FAILURE,
     };
-    say(format_args!("{error:#}"));
+    say(format_args!("{}", words(&error)));
     code.into()
+}
+
+/// An error and its causes, each said once: some errors name their cause
+/// themselves.
+fn words(error: &anyhow::Error) -> String {
+    let mut words = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !words.ends_with(&cause) {
+            words = format!("{words}: {cause}");
+        }
+    }
+    words
 }
 
 /// Words for people, on stderr. That nobody reads them is no error.
 pub(crate) fn say(words: std::fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr(), "uorb: {words}");
+    // At once, as other processes may write there too.
+    let line = format!("uorb: {words}\n");
+    let _ = io::stderr().write_all(line.as_bytes());
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::Context as _;
+
+    use super::*;
+
+    #[test]
+    fn a_cause_is_said_once() {
+        let refused = || io::Error::from(ErrorKind::ConnectionRefused);
+        let own = uorb_core::Error::io("read", "/obj".as_ref(), refused());
+        assert_eq!(words(&own.into()), "cannot read /obj: connection refused");
+        let wrapped = Err::<(), _>(refused()).context("cannot hear the broker").unwrap_err();
+        assert_eq!(words(&wrapped), "cannot hear the broker: connection refused");
+    }
+
+    #[test]
+    fn whoever_has_read_enough_makes_no_error() {
+        let closed: anyhow::Error = io::Error::from(ErrorKind::BrokenPipe).into();
+        assert_eq!(code(Err(closed)), ExitCode::SUCCESS);
+        // That of the broker's socket is one.
+        let broker = io::Error::from(ErrorKind::BrokenPipe);
+        let broker = uorb_core::Error::io("write to", "broker.sock".as_ref(), broker);
+        assert_eq!(code(Err(broker.into())), ExitCode::from(FAILURE));
+    }
 }
