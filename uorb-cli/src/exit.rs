@@ -29,9 +29,8 @@ pub(crate) enum Early {
 /// Says what went wrong, if anything did, and with which code to exit.
 pub(crate) fn code(ended: anyhow::Result<()>) -> ExitCode {
     let Err(error) = ended else { return ExitCode::SUCCESS };
-    // `uorb listener | head` closed the pipe: the reader has seen enough. Only
-    // writing to it fails with a bare error of this kind.
-    if error.downcast_ref::<io::Error>().is_some_and(|io| io.kind() == ErrorKind::BrokenPipe) {
+    // `uorb listener | head` closed the pipe: the reader has seen enough.
+    if output_error(&error).is_some_and(|io| io.kind() == ErrorKind::BrokenPipe) {
         return ExitCode::SUCCESS;
     }
     let code = match error.downcast_ref::<Early>() {
@@ -44,9 +43,18 @@ pub(crate) fn code(ended: anyhow::Result<()>) -> ExitCode {
     code.into()
 }
 
+/// The error of writing to stdout: no other is an error of the system alone,
+/// without a word about what was tried.
+fn output_error(error: &anyhow::Error) -> Option<&io::Error> {
+    error.downcast_ref().filter(|_| error.chain().len() == 1)
+}
+
 /// An error and its causes, each said once: some errors name their cause
 /// themselves.
 fn words(error: &anyhow::Error) -> String {
+    if let Some(io) = output_error(error) {
+        return format!("cannot write the output: {io}");
+    }
     let mut words = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
         if !words.ends_with(&cause) {
@@ -74,6 +82,7 @@ mod tests {
         let refused = || io::Error::from(ErrorKind::ConnectionRefused);
         let own = uorb_core::Error::io("read", "/obj".as_ref(), refused());
         assert_eq!(words(&own.into()), "cannot read /obj: connection refused");
+        assert_eq!(words(&refused().into()), "cannot write the output: connection refused");
         let wrapped = Err::<(), _>(refused()).context("cannot hear the broker").unwrap_err();
         assert_eq!(words(&wrapped), "cannot hear the broker: connection refused");
     }

@@ -1,8 +1,11 @@
 //! `uorb status`: how the broker is, the nodes, and what was lost.
 
+use std::fs::File;
 use std::io::Write;
 
 use anyhow::bail;
+use nix::fcntl::{FcntlArg, fcntl};
+use nix::libc;
 use serde::Serialize;
 use uorb_core::broker_side::{BrokerStatus, Node, NodeStatus, PeerInfo, Reply, Request, Role};
 use uorb_core::{Error, System, now_us};
@@ -78,6 +81,32 @@ struct NodeRow {
 }
 
 pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
+    match show(args, context, out) {
+        Err(error) if matches!(error.downcast_ref(), Some(Error::NoAnswer { .. })) => {
+            match lock_holder(&context.system) {
+                Some(pid) => bail!("the broker, pid {pid}, does not answer: it may be stopped"),
+                None => Err(error),
+            }
+        }
+        shown => shown,
+    }
+}
+
+/// Who has the broker's lock: a broker that does not answer has a pid, too.
+fn lock_holder(system: &System) -> Option<libc::pid_t> {
+    let file = File::options().read(true).write(true).open(system.lock()).ok()?;
+    let mut lock = libc::flock {
+        l_type: libc::F_WRLCK as libc::c_short,
+        l_whence: libc::SEEK_SET as libc::c_short,
+        l_start: 0,
+        l_len: 0,
+        l_pid: 0,
+    };
+    fcntl(&file, FcntlArg::F_GETLK(&mut lock)).ok()?;
+    (lock.l_type != libc::F_UNLCK as libc::c_short).then_some(lock.l_pid)
+}
+
+fn show(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
     let session = context.session()?;
     let Reply::Status(broker) = session.ask(Request::Status)? else {
         bail!("the broker did not say how it is");

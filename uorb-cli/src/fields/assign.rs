@@ -166,7 +166,7 @@ fn check_finite(place: &Place<'_>, text: &str, is_infinite: bool, max: String) -
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::{Scalar, json, samples, text};
+    use super::super::{Content, Scalar, csv, json, samples, text};
     use super::*;
 
     fn written(texts: &[&str]) -> (Layout, Vec<u8>) {
@@ -297,6 +297,33 @@ mod tests {
             for field in scalars.filter(|field| field.name != "point") {
                 comes_back(&field.name, &field.ty, &bytes);
             }
+        }
+
+        #[test]
+        fn a_whole_message_can_be_published_as_it_is_printed(
+            bytes in prop::collection::vec(any::<u8>(), 85),
+        ) {
+            let (layout, message) = samples::one_of_each();
+            prop_assert_eq!(bytes.len(), message.len());
+            let mut again = vec![0; bytes.len()];
+            let flat = layout.flatten();
+            let places: Vec<Place<'_>> =
+                flat.iter().map(|flat| path::find(&layout, &flat.path).unwrap()).collect();
+            for place in &places {
+                let part = place.part(&bytes).unwrap();
+                let printed = match part.content().unwrap() {
+                    Content::Text(text) => super::super::quote::quote(text),
+                    Content::Scalar(scalar) => csv::scalar_text(scalar),
+                    Content::Scalars(scalars) => {
+                        let scalars: Vec<_> = scalars.into_iter().map(csv::scalar_text).collect();
+                        format!("[{}]", scalars.join(","))
+                    }
+                    _ => unreachable!("flat fields are scalars and arrays of them"),
+                };
+                let text = format!("{}={printed}", place.path);
+                Assignment::parse(&layout, &text).unwrap().write(&mut again);
+            }
+            prop_assert_eq!(csv::row(&places, &again), csv::row(&places, &bytes));
         }
 
         #[test]
