@@ -39,6 +39,9 @@
 extern crate self as uorb_core;
 
 mod bell;
+#[cfg(all(test, loom))]
+#[allow(unsafe_code)]
+mod model_check;
 mod ring;
 mod sync;
 
