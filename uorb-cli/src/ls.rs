@@ -1,0 +1,67 @@
+//! `uorb ls`: the nodes, as `ls /obj` lists them on NuttX.
+
+use std::io::Write;
+
+use anyhow::bail;
+use uorb_core::Error;
+use uorb_core::broker_side::{Node, Role};
+
+use crate::context::Context;
+
+/// List the nodes, one a line, as `ls /obj` does.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// The directory of the nodes; the only one there is
+    #[arg(default_value = "/obj", value_name = "DIR")]
+    path: String,
+
+    /// Say more: message size, queue length, publishers, subscribers, messages
+    #[arg(short)]
+    long: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  uorb ls /obj
+  uorb ls -l | grep sensor_
+
+With -l: SIZE of a message in bytes, messages the node keeps (#Q, 0 before its
+first publisher), publishers (#PUB), subscriptions (#SUB), messages published
+so far (#MSG), and the node's name.";
+
+pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
+    if !matches!(args.path.trim_matches('/'), "obj") {
+        bail!("no such directory: {}; the nodes are in /obj", args.path);
+    }
+    let system = &context.system;
+    if !system.nodes().exists() {
+        bail!(Error::NoBroker { path: system.socket() });
+    }
+    if args.long {
+        writeln!(out, " SIZE  #Q #PUB #SUB       #MSG NODE")?;
+    }
+    for (topic, instance) in system.list_nodes()? {
+        if !args.long {
+            writeln!(out, "{topic}{instance}")?;
+            continue;
+        }
+        let node = match Node::open(system, &topic, instance, Role::Observer) {
+            Ok(node) => node,
+            // It gave way to another while we looked.
+            Err(Error::NoNode { .. }) => continue,
+            Err(error) => return Err(error.into()),
+        };
+        let status = node.status();
+        writeln!(
+            out,
+            "{:5} {:3} {:4} {:4} {:10} {topic}{instance}",
+            node.identity.metadata.layout.size_bytes,
+            status.queue_length.map_or(0, |length| length.get()),
+            status.publishers.len(),
+            status.subscribers,
+            status.published,
+        )?;
+    }
+    Ok(())
+}
