@@ -8,6 +8,7 @@ mod context;
 mod exit;
 mod interrupt;
 mod ls;
+mod replay;
 
 use std::io::{self, BufWriter, Write};
 use std::process::ExitCode;
@@ -36,6 +37,7 @@ Examples:
 #[derive(Debug, Subcommand)]
 enum Command {
     Ls(ls::Args),
+    Replay(replay::Args),
 }
 
 fn main() -> ExitCode {
@@ -49,5 +51,6 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
     let context = Context::new(&cli.place)?;
     match &cli.command {
         Command::Ls(args) => ls::run(args, &context, out),
+        Command::Replay(args) => replay::run(args, &context, out),
     }
 }
