@@ -364,3 +364,9 @@ pub fn decode<'b, T: Deserialize<'b>>(packet: &'b [u8]) -> Option<T> {
     let (message, rest) = postcard::take_from_bytes(packet).ok()?;
     rest.is_empty().then_some(message)
 }
+
+/// How a packet begins, where all of it cannot be read: a join of another
+/// version has its number, its kind and its version where ours has them.
+pub fn decode_beginning(packet: &[u8]) -> Option<(u32, u32, u32)> {
+    postcard::take_from_bytes(packet).ok().map(|(beginning, _)| beginning)
+}

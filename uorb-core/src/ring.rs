@@ -441,11 +441,11 @@ fn load_words(words: &[AtomicU64], into: &mut [MaybeUninit<u8>]) {
     let (whole, rest) = into.as_chunks_mut::<8>();
     let whole_words = whole.len();
     for (word, bytes) in words.iter().zip(whole) {
-        *bytes = word.load(Ordering::Relaxed).to_ne_bytes().map(MaybeUninit::new);
+        bytes.write_copy_of_slice(&word.load(Ordering::Relaxed).to_ne_bytes());
     }
     if let (Some(word), false) = (words.get(whole_words), rest.is_empty()) {
-        let bytes = word.load(Ordering::Relaxed).to_ne_bytes().map(MaybeUninit::new);
-        rest.copy_from_slice(&bytes[..rest.len()]);
+        let bytes = word.load(Ordering::Relaxed).to_ne_bytes();
+        rest.write_copy_of_slice(&bytes[..rest.len()]);
     }
 }
 

@@ -285,7 +285,23 @@ impl<K: FieldKind, const N: usize> FieldKind for [K; N] {
 /// ```
 ///
 /// The struct is `repr(C)`, and zerocopy refuses one with padding between or
-/// behind its fields: name it as a field of its own (`_padding0: [u8; 4]`).
+/// behind its fields, so this does not compile:
+///
+/// ```compile_fail
+/// uorb_core::topic! {
+///     /// Three bytes before `large` belong to no field.
+///     pub struct Gap = "gap" { pub small: u8, pub large: u32 }
+/// }
+/// ```
+///
+/// Name the padding as a field of its own:
+///
+/// ```
+/// uorb_core::topic! {
+///     /// Every byte belongs to a field.
+///     pub struct NoGap = "no_gap" { pub small: u8, pub _padding0: [u8; 3], pub large: u32 }
+/// }
+/// ```
 #[macro_export]
 macro_rules! topic {
     (

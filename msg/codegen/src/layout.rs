@@ -175,3 +175,143 @@ fn hash_fields(mut hash: u32, message: &Message, messages: &Messages) -> u32 {
     }
     hash
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::fault::Notes;
+    use crate::folder::{self, File};
+    use crate::parse;
+    use crate::scalar::Scalar;
+
+    /// The messages of these texts, which have no faults, and their layouts.
+    fn laid_out(texts: &[(&str, &str)]) -> (Messages, Vec<Layout>) {
+        let files = texts.iter().map(|(stem, text)| {
+            let mut notes = Notes::new(stem);
+            let ast = parse::parse(text, &mut notes);
+            File { stem: stem.to_string(), ast, notes, searched: false }
+        });
+        let messages = folder::resolve(files.collect());
+        let (layouts, faults) = lay_out(&messages);
+        assert_eq!((&*messages.faults, &*faults), (&[][..], &[][..]));
+        (messages, layouts)
+    }
+
+    /// `timestamp@0 x@8 pad4@12`: the members of the first message in memory
+    /// order, and where they start.
+    fn members(texts: &[(&str, &str)]) -> String {
+        let (messages, layouts) = laid_out(texts);
+        let mut end = layouts[0].size_bytes;
+        let mut shown: Vec<String> = Vec::new();
+        for member in layouts[0].members.iter().rev() {
+            end = match *member {
+                Member::Field { index, offset_bytes } => {
+                    let name = &messages.list[0].fields[index].name;
+                    shown.insert(0, format!("{name}@{offset_bytes}"));
+                    offset_bytes
+                }
+                Member::Padding { length_bytes, .. } => {
+                    let start = end - length_bytes;
+                    shown.insert(0, format!("pad{length_bytes}@{start}"));
+                    start
+                }
+            };
+        }
+        shown.join(" ")
+    }
+
+    #[test]
+    fn fields_are_sorted_by_the_size_of_their_elements() {
+        assert_eq!(members(&[("orb_test", "int32 val")]), "timestamp@0 val@8 pad4@12");
+        assert_eq!(
+            members(&[(
+                "m",
+                "bool a\nuint8[3] b\nint16 c\nfloat32 d\nfloat64 e\nuint64 timestamp"
+            )]),
+            "e@0 timestamp@8 d@16 c@20 a@22 b@23 pad6@26"
+        );
+    }
+
+    #[test]
+    fn nested_messages_come_last_and_at_multiples_of_8() {
+        let inner = ("z_inner", "uint8 x");
+        assert_eq!(
+            members(&[("m", "z_inner first\nuint8 a\nz_inner[2] last"), inner]),
+            "timestamp@0 a@8 pad7@9 first@16 last@32"
+        );
+    }
+
+    #[test]
+    fn hashes_and_sizes_are_those_of_px4() {
+        let medium = "uint64 timestamp\nint32 val\nuint8[64] junk\nuint8 ORB_QUEUE_LENGTH = 16";
+        let acceleration = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[3] xyz";
+        for (text, message_hash, size_bytes, size_no_padding_bytes) in [
+            ("uint64 timestamp\nint32 val", 0x766b_aa60, 16, 12),
+            // An inserted timestamp counts as the first field.
+            ("int32 val", 0x766b_aa60, 16, 12),
+            (medium, 0x1cbb_8bca, 80, 76),
+            (acceleration, 0x6708_8e65, 32, 28),
+        ] {
+            let layout = &laid_out(&[("m", text)]).1[0];
+            assert_eq!(layout.message_hash, message_hash, "{text}");
+            assert_eq!(layout.size_bytes, size_bytes, "{text}");
+            assert_eq!(layout.size_no_padding_bytes, size_no_padding_bytes, "{text}");
+        }
+    }
+
+    /// The text of a message with any fields; `nested` can be one's type.
+    fn any_text(nested: Option<&'static str>) -> impl Strategy<Value = String> {
+        let names = Scalar::ALL.map(Scalar::msg_name).into_iter().chain(nested);
+        let types = prop::sample::select(names.collect::<Vec<_>>());
+        let fields = prop::collection::vec((types, prop::option::of(1..40_u32)), 0..12);
+        fields.prop_map(|fields| {
+            let lines = fields.into_iter().enumerate().map(|(index, (ty, length))| match length {
+                Some(length) => format!("{ty}[{length}] f{index}\n"),
+                None => format!("{ty} f{index}\n"),
+            });
+            lines.collect()
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn members_follow_each_other_without_gap_or_overlap(
+            inner in any_text(None),
+            outer in any_text(Some("m_inner")),
+        ) {
+            let (messages, layouts) = laid_out(&[("m_inner", &inner), ("m_outer", &outer)]);
+            for (message, layout) in messages.list.iter().zip(&layouts) {
+                let mut end = 0;
+                let mut seen = vec![0; message.fields.len()];
+                for member in &layout.members {
+                    match *member {
+                        Member::Padding { length_bytes, .. } => {
+                            prop_assert!((1..8).contains(&length_bytes));
+                            end += length_bytes;
+                        }
+                        Member::Field { index, offset_bytes } => {
+                            seen[index] += 1;
+                            prop_assert_eq!(offset_bytes, end);
+                            let field = &message.fields[index];
+                            let (element_bytes, aligned_to) = match field.ty {
+                                Type::Scalar(scalar) => {
+                                    let bytes = u64::from(scalar.size_bytes());
+                                    (bytes, bytes)
+                                }
+                                Type::Message(inner) => (layouts[inner].size_bytes, 8),
+                            };
+                            prop_assert!(offset_bytes.is_multiple_of(aligned_to));
+                            end += element_bytes * u64::from(field.array_length.unwrap_or(1));
+                            prop_assert!(end <= layout.size_no_padding_bytes);
+                        }
+                    }
+                }
+                prop_assert_eq!(end, layout.size_bytes);
+                prop_assert!(layout.size_bytes.is_multiple_of(8));
+                prop_assert!(seen.iter().all(|&times| times == 1));
+            }
+        }
+    }
+}

@@ -44,6 +44,7 @@
 
 mod comment;
 mod fault;
+mod folder;
 mod layout;
 mod message;
 mod names;
@@ -162,7 +163,7 @@ impl Config {
                 }
             }
         }
-        let mut messages = message::resolve(files);
+        let mut messages = folder::resolve(files);
         let (layouts, faults) = layout::lay_out(&messages);
         messages.faults.extend(faults);
         messages.faults.sort();
@@ -189,7 +190,7 @@ fn msg_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(paths)
 }
 
-fn read(path: &Path, bytes: &[u8], searched: bool) -> message::File {
+fn read(path: &Path, bytes: &[u8], searched: bool) -> folder::File {
     let shown = path.strip_prefix(".").unwrap_or(path).display().to_string();
     let mut notes = Notes::new(&shown);
     // Only comments have other letters than ASCII in them, so what cannot be
@@ -200,5 +201,5 @@ fn read(path: &Path, bytes: &[u8], searched: bool) -> message::File {
     }
     let ast = parse::parse(&text, &mut notes);
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    message::File { stem, ast, notes, searched }
+    folder::File { stem, ast, notes, searched }
 }

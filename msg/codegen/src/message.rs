@@ -1,11 +1,9 @@
-//! Messages as they are meant: types looked up, topics and queue length known.
+//! A message as it is meant: types looked up, timestamp, topics and queue
+//! length settled.
 //!
-//! What one file cannot tell by itself is settled here, over all files at
-//! once: which message a field's type is, whether two topics or two Rust types
-//! would have one name, and whether a message contains itself. Afterwards a
-//! message is plain data, and nothing behind this stage can meet a name that
-//! does not exist. A field with a fault is left out, so that one mistake is
-//! reported once.
+//! It is plain data, and all that the writers need. Nothing behind this stage
+//! can meet a type that does not exist: a field with a fault is left out, so
+//! that one mistake is told once.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -51,18 +49,6 @@ pub(crate) enum Type {
     Message(usize),
 }
 
-/// One .msg file, read.
-#[derive(Debug)]
-pub(crate) struct File {
-    /// The file's name without `.msg`.
-    pub(crate) stem: String,
-    pub(crate) ast: Ast,
-    pub(crate) notes: Notes,
-    /// Found in a search folder: part of the output only if a message of ours
-    /// contains it.
-    pub(crate) searched: bool,
-}
-
 /// All messages, sorted by name, with what is wrong in their files.
 #[derive(Debug, Default)]
 pub(crate) struct Messages {
@@ -89,64 +75,8 @@ impl Messages {
     }
 }
 
-/// Settles the messages of all files.
-pub(crate) fn resolve(files: Vec<File>) -> Messages {
-    let mut messages = Messages::default();
-    let (mut files, doubles) = by_name(files);
-    messages.faults.extend(doubles);
-    leave_out_what_nobody_contains(&mut files);
-    let places: BTreeMap<String, usize> =
-        files.keys().enumerate().map(|(place, name)| (name.clone(), place)).collect();
-    let mut all_notes = Vec::new();
-    for (name, file) in files {
-        let mut notes = file.notes;
-        messages.list.push(message(name, file.ast, file.searched, &places, &mut notes));
-        all_notes.push(notes);
-    }
-    break_cycles(&mut messages.list, &mut all_notes);
-    refuse_equal_names(&messages.list, &mut all_notes);
-    for notes in all_notes {
-        messages.faults.extend(notes.faults);
-        messages.warnings.extend(notes.warnings);
-    }
-    messages
-}
-
-/// The files by their snake-case names, and those that share one.
-fn by_name(files: Vec<File>) -> (BTreeMap<String, File>, Vec<Fault>) {
-    let mut named = BTreeMap::new();
-    let mut doubles = Vec::new();
-    for mut file in files {
-        match named.entry(names::snake_case(&file.stem)) {
-            Entry::Vacant(place) => {
-                place.insert(file);
-            }
-            // A folder's own messages go before those of search folders.
-            Entry::Occupied(_) if file.searched => {}
-            Entry::Occupied(first) => {
-                let (first_path, name) = (first.get().notes.path(), first.key());
-                file.notes.fault(None, format!("message `{name}` exists already: {first_path}"));
-                doubles.append(&mut file.notes.faults);
-            }
-        }
-    }
-    (named, doubles)
-}
-
-fn leave_out_what_nobody_contains(files: &mut BTreeMap<String, File>) {
-    let mut wanted: Vec<String> =
-        files.iter().filter(|(_, file)| !file.searched).map(|(name, _)| name.clone()).collect();
-    let mut kept = BTreeMap::new();
-    while let Some(name) = wanted.pop() {
-        if let Some(file) = files.remove(&name) {
-            wanted.extend(file.ast.fields.iter().map(|field| names::snake_case(&field.type_name)));
-            kept.insert(name, file);
-        }
-    }
-    *files = kept;
-}
-
-fn message(
+/// Settles one message; `places` has the names of all.
+pub(crate) fn resolve(
     name: String,
     ast: Ast,
     searched: bool,
@@ -155,9 +85,11 @@ fn message(
 ) -> Message {
     if !names::is_word(&name) {
         notes.fault(None, format!("`{name}` cannot be a message's name: letters, digits and `_`"));
-    } else if matches!(names::camel_case(&name).as_str(), "Self" | "OrbId") {
-        notes
-            .fault(None, format!("message `{name}` needs another name: this one is taken in Rust"));
+    } else if names::camel_case(&name) == "Self" {
+        notes.fault(
+            None,
+            format!("message `{name}` needs another name: in Rust this one is a keyword"),
+        );
     }
     refuse_doubles(&ast, notes);
     let queue_length = queue_length(&ast.constants, notes);
@@ -208,13 +140,16 @@ fn queue_length(constants: &[Constant], notes: &mut Notes) -> u32 {
             length as u32
         }
         value => {
-            let value = match value {
-                Value::Int(value) => value.to_string(),
-                Value::Float(value) => value.to_string(),
+            let (value, near) = match value {
+                Value::Int(value @ 3..=QUEUE_LENGTH_MAX) => {
+                    (value.to_string(), format!("; write {}", (value as u32).next_power_of_two()))
+                }
+                Value::Int(value) => (value.to_string(), String::new()),
+                Value::Float(value) => (value.to_string(), String::new()),
             };
             let text = format!(
                 "`ORB_QUEUE_LENGTH = {value}`: a queue's length is a power of two up to \
-                 {QUEUE_LENGTH_MAX}"
+                 {QUEUE_LENGTH_MAX}{near}"
             );
             notes.fault(constant.line, text);
             1
@@ -308,88 +243,6 @@ fn insert_timestamp(fields: &mut Vec<Field>, notes: &mut Notes) {
             let comment = Comment { lines, unit: "us".to_string(), ..Comment::default() };
             let name = "timestamp".to_string();
             fields.insert(0, Field { name, ty, array_length: None, comment, line: 1 });
-        }
-    }
-}
-
-/// Leaves out, with a fault, the fields by which messages contain themselves.
-fn break_cycles(list: &mut [Message], notes: &mut [Notes]) {
-    let mut done = vec![false; list.len()];
-    for place in 0..list.len() {
-        visit(place, &mut Vec::new(), &mut done, list, notes);
-    }
-}
-
-fn visit(
-    place: usize,
-    above: &mut Vec<usize>,
-    done: &mut [bool],
-    list: &mut [Message],
-    notes: &mut [Notes],
-) {
-    if done[place] {
-        return;
-    }
-    above.push(place);
-    let mut index = 0;
-    while let Some(field) = list[place].fields.get(index) {
-        index += 1;
-        let Type::Message(inner) = field.ty else { continue };
-        let Some(start) = above.iter().position(|&outer| outer == inner) else {
-            visit(inner, above, done, list, notes);
-            continue;
-        };
-        let path = above[start..].iter().chain([&inner]);
-        let path: Vec<&str> = path.map(|&message| &*list[message].name).collect();
-        let name = &list[inner].name;
-        let text = format!("message `{name}` contains itself: {}", path.join(" > "));
-        notes[place].fault(field.line, text);
-        index -= 1;
-        list[place].fields.remove(index);
-    }
-    above.pop();
-    done[place] = true;
-}
-
-/// Two topics must not have one name, and neither must two Rust types.
-fn refuse_equal_names(list: &[Message], notes: &mut [Notes]) {
-    let mut topics: BTreeMap<&str, &str> = BTreeMap::new();
-    let mut types: BTreeMap<String, String> = list
-        .iter()
-        .map(|message| (names::camel_case(&message.name), message.path.clone()))
-        .collect();
-    if types.len() < list.len() {
-        refuse_equal_structs(list, notes);
-    }
-    for (message, notes) in list.iter().zip(notes) {
-        for topic in &message.topics {
-            let (name, line) = (&*topic.name, topic.line);
-            if let Some(other) = topics.insert(name, &message.path) {
-                notes.fault(line, format!("topic `{name}` is defined already, by {other}"));
-            } else if *name != message.name {
-                let type_name = names::camel_case(name);
-                if let Some(other) = types.insert(type_name.clone(), message.path.clone()) {
-                    let text = format!(
-                        "topic `{name}` would be the Rust type `{type_name}`, which {other} has"
-                    );
-                    notes.fault(line, text);
-                } else if type_name == "OrbId" {
-                    notes.fault(line, format!("topic `{name}` needs another name"));
-                }
-            }
-        }
-    }
-}
-
-fn refuse_equal_structs(list: &[Message], notes: &mut [Notes]) {
-    let mut first: BTreeMap<String, &str> = BTreeMap::new();
-    for (message, notes) in list.iter().zip(notes) {
-        let type_name = names::camel_case(&message.name);
-        if let Some(other) = first.get(&type_name) {
-            let text = format!("this would be the Rust type `{type_name}`, as {other}");
-            notes.fault(None, text);
-        } else {
-            first.insert(type_name, &message.path);
         }
     }
 }

@@ -23,6 +23,19 @@ pub(crate) fn snake_case(name: &str) -> String {
     snake
 }
 
+/// A field's name without capitals, as PX4 changed its own: `altitudeSp` to
+/// `altitude_sp`, `periph_5V_OC` to `periph_5v_oc`.
+pub(crate) fn lower_case(name: &str) -> String {
+    let mut lower = String::with_capacity(name.len() + 2);
+    for letter in name.chars() {
+        if letter.is_ascii_uppercase() && lower.ends_with(|last: char| last.is_ascii_lowercase()) {
+            lower.push('_');
+        }
+        lower.push(letter);
+    }
+    lower.to_ascii_lowercase()
+}
+
 /// The name of a Rust type: `actuator_controls_1` becomes `ActuatorControls1`.
 pub(crate) fn camel_case(snake: &str) -> String {
     let mut camel = String::with_capacity(snake.len());
@@ -68,20 +81,25 @@ pub(crate) fn nearest<'a>(
         .map(|(_, candidate)| candidate)
 }
 
-/// How many letters have to be put in, left out or changed to make one name
-/// of the other (Levenshtein).
+/// How many letters have to be put in, left out, changed, or swapped with
+/// their neighbour to make one name of the other.
 fn distance(from: &str, to: &str) -> usize {
-    let mut row: Vec<usize> = (0..=to.len()).collect();
-    for (i, a) in from.bytes().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, b) in to.bytes().enumerate() {
-            let changed = diagonal + usize::from(a != b);
-            diagonal = row[j + 1];
-            row[j + 1] = changed.min(row[j] + 1).min(diagonal + 1);
+    let (from, to) = (from.as_bytes(), to.as_bytes());
+    let mut table = vec![vec![0; to.len() + 1]; from.len() + 1];
+    table.iter_mut().enumerate().for_each(|(i, row)| row[0] = i);
+    table[0].iter_mut().enumerate().for_each(|(j, cell)| *cell = j);
+    for i in 1..=from.len() {
+        for j in 1..=to.len() {
+            let changed = table[i - 1][j - 1] + usize::from(from[i - 1] != to[j - 1]);
+            let mut least = changed.min(table[i - 1][j] + 1).min(table[i][j - 1] + 1);
+            let swapped = i > 1 && j > 1 && from[i - 2..i] == [to[j - 1], to[j - 2]];
+            if swapped {
+                least = least.min(table[i - 2][j - 2] + 1);
+            }
+            table[i][j] = least;
         }
     }
-    row[to.len()]
+    table[from.len()][to.len()]
 }
 
 const C_KEYWORDS: &str = "

@@ -219,8 +219,7 @@ impl Parser<'_> {
         } else if !names::is_word(name) {
             format!("`{name}` is not a name: a letter, then letters, digits and `_`")
         } else if name.bytes().any(|byte| byte.is_ascii_uppercase()) {
-            let lower = names::snake_case(name).replace("__", "_");
-            format!("field `{name}` has capital letters; write `{lower}`")
+            format!("field `{name}` has capital letters; write `{}`", names::lower_case(name))
         } else if let Some(language) = names::reserved(name) {
             format!("field `{name}` cannot have this name: it is a keyword of {language}")
         } else {

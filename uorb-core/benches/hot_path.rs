@@ -1,0 +1,111 @@
+//! What a publish, a copy and a look cost, beside one clock read of this run.
+//!
+//! One process, one publisher, one subscription that never sleeps, a real
+//! broker: `cargo build --release && cargo bench -p uorb-core`. A publish reads
+//! the clock once, so its floor is that read and a memcpy.
+
+use std::hint::black_box;
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use uorb_core::zerocopy::FromZeros;
+use uorb_core::{Publication, Session, Subscription, System, Topic, now_us, topic};
+
+macro_rules! sizes {
+    ($($Message:ident = $name:literal, $bytes:literal;)*) => {
+        $(topic! { pub struct $Message = $name { pub words: [u64; $bytes / 8] } })*
+
+        fn all_sizes(criterion: &mut Criterion) {
+            let bus = Bus::start();
+            $(one_size::<$Message>(criterion, &bus);)*
+        }
+    };
+}
+
+sizes! {
+    Bytes16 = "bytes16", 16;
+    Bytes64 = "bytes64", 64;
+    Bytes256 = "bytes256", 256;
+    Bytes1024 = "bytes1024", 1_024;
+    Bytes4096 = "bytes4096", 4_096;
+    Bytes16384 = "bytes16384", 16_384;
+    Bytes65528 = "bytes65528", 65_528;
+}
+
+fn one_size<T: Topic>(criterion: &mut Criterion, bus: &Bus)
+where
+    T::Message: FromZeros,
+{
+    let session = Session::connect_to(&bus.system).expect("the broker takes us");
+    let mut publication = Publication::<T>::advertise(&session).expect("advertised");
+    let mut subscription = Subscription::<T>::subscribe(&session).expect("subscribed");
+    let message = T::Message::new_zeroed();
+    let bytes = size_of::<T::Message>() as u64;
+
+    let mut group = criterion.benchmark_group("publish");
+    group.throughput(Throughput::Bytes(bytes));
+    group.bench_function(BenchmarkId::from_parameter(bytes), |bencher| {
+        bencher.iter(|| publication.publish(black_box(&message)).expect("published"));
+    });
+    group.finish();
+
+    let mut group = criterion.benchmark_group("copy");
+    group.throughput(Throughput::Bytes(bytes));
+    group.bench_function(BenchmarkId::from_parameter(bytes), |bencher| {
+        bencher.iter(|| black_box(subscription.copy()));
+    });
+    group.finish();
+
+    let mut group = criterion.benchmark_group("updated");
+    group.bench_function(BenchmarkId::from_parameter(bytes), |bencher| {
+        bencher.iter(|| black_box(subscription.updated()));
+    });
+    group.finish();
+}
+
+fn clock(criterion: &mut Criterion) {
+    let source = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
+    println!("clock source: {}", std::fs::read_to_string(source).unwrap_or_default().trim());
+    criterion.bench_function("clock read", |bencher| bencher.iter(|| black_box(now_us())));
+}
+
+/// A private system with a broker.
+struct Bus {
+    system: System,
+    base: PathBuf,
+    broker: Child,
+}
+
+impl Bus {
+    fn start() -> Self {
+        let base = PathBuf::from(format!("/dev/shm/uorb-bench-{}", std::process::id()));
+        std::fs::create_dir(&base).expect("a new directory in /dev/shm");
+        let bench = std::env::current_exe().expect("every program has a file");
+        let uorbd = bench.ancestors().map(|dir| dir.join("uorbd")).find(|path| path.is_file());
+        let uorbd = uorbd.expect("uorbd is not built: run `cargo build --release` first");
+        let mut broker = Command::new(uorbd)
+            .args(["--ready-fd", "1", "--dir"])
+            .arg(&base)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("uorbd starts");
+        let mut line = String::new();
+        let stdout = broker.stdout.as_mut().expect("piped");
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        assert_eq!(line, "ready\n");
+        Self { system: System::new(&base, 0), base, broker }
+    }
+}
+
+impl Drop for Bus {
+    fn drop(&mut self) {
+        let _ = self.broker.kill();
+        let _ = self.broker.wait();
+        let _ = std::fs::remove_dir_all(&self.base);
+    }
+}
+
+criterion_group!(benches, clock, all_sizes);
+criterion_main!(benches);

@@ -1,0 +1,33 @@
+//! What the broker takes on, in one place.
+
+use std::time::Duration;
+
+/// Processes at a time. Each costs the broker two descriptors.
+pub(crate) const PEERS_MAX: usize = 2_048;
+
+/// Connections at a time, those included that have not said who they are.
+pub(crate) const CONNECTIONS_MAX: usize = PEERS_MAX + 64;
+
+/// Nodes, that is instances of all topics together.
+pub(crate) const NODES_MAX: usize = 8_192;
+
+/// Publications and subscriptions of one process.
+pub(crate) const HANDLES_MAX: usize = 65_536;
+
+/// Packets that wait for a process which does not read. One that lets so many
+/// pile up is cut off: the broker waits for nobody.
+pub(crate) const OUTBOUND_MAX: usize = 1_024;
+
+/// Packets taken from one process before the others have their turn.
+pub(crate) const PACKETS_A_TURN: usize = 64;
+
+/// The size at which the log is put aside and begun anew, in bytes. Two files
+/// are kept, so it takes twice this.
+pub(crate) const LOG_MAX_BYTES: u64 = 1 << 20;
+
+/// How long a second `uorb start` waits for the first to answer.
+pub(crate) const RUNNING_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// How often processes are looked at of which the kernel gave no pidfd and that
+/// have hung up while they live.
+pub(crate) const DOUBT_INTERVAL: Duration = Duration::from_secs(1);

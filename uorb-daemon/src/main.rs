@@ -1,0 +1,131 @@
+//! `uorbd`, the broker of one system. `uorb start` starts it.
+
+#![deny(unsafe_code)]
+
+mod broker;
+mod connection;
+mod directory;
+mod limits;
+mod log;
+mod registry;
+
+use std::fs::File;
+use std::io::Write;
+use std::os::fd::{FromRawFd, RawFd};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use clap::Parser;
+use nix::sys::resource::{Resource, getrlimit, setrlimit};
+use tracing::error;
+use uorb_core::{Session, System};
+
+use crate::broker::{Broker, kernel_rings_bells};
+use crate::directory::Found;
+use crate::limits::RUNNING_TIMEOUT;
+
+/// The broker of uORB between processes: it makes nodes and says who publishes
+/// on them. `uorb start` starts it; a service manager runs it with --foreground.
+#[derive(Parser, Debug)]
+#[command(name = "uorbd", version)]
+struct Args {
+    /// The directory of all systems [default: $UORB_DIR, else /dev/shm/uorb-UID]
+    #[arg(long, value_name = "DIR")]
+    dir: Option<PathBuf>,
+
+    /// The number of the system [default: $UORB_SYSTEM, else 0]
+    #[arg(long, value_name = "N")]
+    system: Option<u32>,
+
+    /// Log to stderr instead of broker.log
+    #[arg(long)]
+    foreground: bool,
+
+    /// Write "ready", "running" or "error: ..." to this descriptor, then close it
+    #[arg(long, value_name = "FD", hide = true)]
+    ready_fd: Option<RawFd>,
+}
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    let mut ready = args.ready_fd.map(take_descriptor);
+    let mut tell = |word: &str| {
+        if let Some(ready) = &mut ready {
+            let _ = writeln!(ready, "{word}");
+        }
+        // Closed: whoever waits for it goes on.
+        ready = None;
+    };
+    match run(&args, &mut tell) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            tell(&format!("error: {failure:#}"));
+            error!("{failure:#}");
+            eprintln!("uorbd: {failure:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(args: &Args, tell: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
+    let system = match (&args.dir, args.system) {
+        (Some(dir), Some(number)) => System::new(dir, number),
+        (dir, number) => {
+            let named = System::from_env()?;
+            let base = dir.clone().unwrap_or_else(|| named.base().to_path_buf());
+            System::new(base, number.unwrap_or(named.number()))
+        }
+    };
+    let Found::Ours { lock: _lock, system_id, living } = directory::open(&system)? else {
+        wait_for_the_other(&system)?;
+        tell("running");
+        eprintln!("uorbd: already running at {system}");
+        return Ok(());
+    };
+    let log = system.log();
+    log::start((!args.foreground).then_some(&log))
+        .with_context(|| format!("cannot write the log {}", log.display()))?;
+    if !kernel_rings_bells()? {
+        bail!(
+            "this kernel does not wake an edge-triggered epoll on a pipe that is not empty \
+             (Linux 5.5 to 5.10.55 and 5.11 to 5.13.7): update it"
+        );
+    }
+    raise_descriptor_limit();
+    let mut broker = Broker::new(system, system_id, living)?;
+    tell("ready");
+    broker.run()
+}
+
+/// The other broker has the lock; it is running once it answers.
+fn wait_for_the_other(system: &System) -> anyhow::Result<()> {
+    let deadline = Instant::now() + RUNNING_TIMEOUT;
+    loop {
+        match Session::connect_to(system) {
+            Ok(_) => return Ok(()),
+            Err(failure) if Instant::now() >= deadline => {
+                return Err(failure).context("another broker has the lock and does not answer");
+            }
+            // It is between its lock and its socket, which takes it
+            // microseconds; there is nothing to wait on yet.
+            Err(_) => std::thread::sleep(std::time::Duration::from_millis(10)),
+        }
+    }
+}
+
+/// Two descriptors a process and one a node that was never advertised: the soft
+/// limit of 1,024 would be the first to be reached.
+fn raise_descriptor_limit() {
+    if let Ok((_, hard)) = getrlimit(Resource::RLIMIT_NOFILE) {
+        let _ = setrlimit(Resource::RLIMIT_NOFILE, hard, hard);
+    }
+}
+
+#[allow(unsafe_code)]
+fn take_descriptor(number: RawFd) -> File {
+    // SAFETY: whoever names a descriptor on the command line hands it over; a
+    // number that is not open fails at the first write.
+    unsafe { File::from_raw_fd(number) }
+}

@@ -1,0 +1,470 @@
+//! Who publishes and who subscribes: the broker's one table, without any I/O.
+//!
+//! A request that may need files is planned first (`plan_advertise`,
+//! `plan_subscribe`), which changes nothing; the broker makes the files; then
+//! the table is told. So a full /dev/shm leaves the table as it was.
+//!
+//! Every request can come twice, after a broker has died before its answer:
+//! (peer, handle) is the key, and what is in the table already is granted again.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use uorb_core::broker_side::{
+    Advertise, Claim, Mismatch, PUBLISHERS_MAX, PeerInfo, PublisherEntry, Refusal, Subject,
+    Subscribe, Users,
+};
+use uorb_core::{INSTANCES_MAX, Instance, Layout, Metadata, Priority, is_topic_name};
+
+use crate::limits::{HANDLES_MAX, NODES_MAX, PEERS_MAX};
+
+/// A node's key.
+pub(crate) type NodeKey = (String, Instance);
+
+#[derive(Debug, Default)]
+pub(crate) struct Registry {
+    peers: BTreeMap<u16, Peer>,
+    topics: BTreeMap<String, Topic>,
+    /// Who waits for topics that nobody has described yet: peer and handle.
+    waiting: BTreeMap<String, BTreeSet<(u16, u32)>>,
+    last_peer: u16,
+}
+
+#[derive(Debug)]
+struct Peer {
+    pid: u32,
+    name: String,
+    connected: bool,
+    /// Set between a broker's start and the process's re-joining: the handles
+    /// that it has named again so far.
+    confirmed: Option<BTreeSet<u32>>,
+    /// What it holds, by handle.
+    held: BTreeMap<u32, Held>,
+}
+
+/// What a handle stands for.
+#[derive(Clone, Debug, PartialEq)]
+enum Held {
+    Publication(NodeKey),
+    Subscription(NodeKey),
+    /// A subscription by name to a topic that nobody has described yet.
+    Waiting(String, Instance),
+}
+
+#[derive(Debug)]
+struct Topic {
+    metadata: Metadata,
+    nodes: BTreeMap<Instance, Node>,
+}
+
+#[derive(Debug, Default)]
+struct Node {
+    publishers: Vec<PublisherEntry>,
+    subscribers: BTreeSet<(u16, u32)>,
+}
+
+/// What must be there before a request is granted.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Plan {
+    pub(crate) instance: Instance,
+    /// Nodes of another layout that no live process uses: they are removed.
+    pub(crate) give_way: Vec<NodeKey>,
+    /// The node to make, if it is not there.
+    pub(crate) create: Option<Metadata>,
+}
+
+/// What a subscription gets.
+#[derive(Debug, PartialEq)]
+pub(crate) enum SubscribePlan {
+    Node(Plan),
+    /// Nobody has described the topic yet.
+    Wait,
+}
+
+/// What a dead process leaves to be done.
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Estate {
+    /// Nodes that it had advertised: free its slots, ring.
+    pub(crate) advertised: Vec<NodeKey>,
+    /// Nodes that it had subscribed to.
+    pub(crate) subscribed: Vec<NodeKey>,
+}
+
+impl Registry {
+    // Peers.
+
+    /// Enters a process under a new number.
+    pub(crate) fn join(&mut self, pid: u32, name: String) -> Result<u16, Refusal> {
+        if self.peers.len() >= PEERS_MAX {
+            let what = "processes".into();
+            return Err(Refusal::Limit { what, limit: PEERS_MAX as u32 });
+        }
+        // Numbers come round after 65,535 processes; 0 is nobody.
+        let mut number = self.last_peer;
+        loop {
+            number = number.wrapping_add(1);
+            if number != 0 && !self.peers.contains_key(&number) {
+                break;
+            }
+        }
+        self.last_peer = number;
+        self.peers.insert(number, Peer::new(pid, name, true));
+        Ok(number)
+    }
+
+    /// Enters a process that a broker before us knew and that still lives.
+    pub(crate) fn adopt_peer(&mut self, number: u16, pid: u32, name: String) {
+        let peer = Peer { confirmed: Some(BTreeSet::new()), ..Peer::new(pid, name, false) };
+        self.peers.insert(number, peer);
+        self.last_peer = self.last_peer.max(number);
+    }
+
+    /// A known process is connected again. None: it is not known, or connected.
+    pub(crate) fn rejoin(&mut self, number: u16, pid: u32, name: String) -> Option<()> {
+        let peer = self.peers.get_mut(&number).filter(|peer| !peer.connected)?;
+        (peer.connected, peer.pid, peer.name) = (true, pid, name);
+        Some(())
+    }
+
+    /// It has named all its handles again: those that it did not are dropped.
+    /// Returns the nodes whose counts have changed.
+    pub(crate) fn rejoined(&mut self, number: u16) -> Vec<NodeKey> {
+        let Some(peer) = self.peers.get_mut(&number) else { return Vec::new() };
+        let Some(confirmed) = peer.confirmed.take() else { return Vec::new() };
+        self.remove(number, |handle| !confirmed.contains(&handle)).advertised
+    }
+
+    /// It has hung up and may live: what it holds stays.
+    pub(crate) fn disconnect(&mut self, number: u16) {
+        if let Some(peer) = self.peers.get_mut(&number) {
+            peer.connected = false;
+        }
+    }
+
+    /// It is dead: all that it held is given back.
+    pub(crate) fn bury(&mut self, number: u16) -> Estate {
+        let estate = self.remove(number, |_| true);
+        self.peers.remove(&number);
+        estate
+    }
+
+    pub(crate) fn name_of(&self, number: u16) -> String {
+        match self.peers.get(&number) {
+            Some(peer) => format!("{} (pid {})", peer.name, peer.pid),
+            None => format!("peer {number}"),
+        }
+    }
+
+    pub(crate) fn is_known(&self, number: u16) -> bool {
+        self.peers.contains_key(&number)
+    }
+
+    /// Processes that a broker before us knew and that have not re-joined.
+    fn expected(&self) -> impl Iterator<Item = u16> {
+        self.peers.iter().filter(|(_, peer)| peer.confirmed.is_some()).map(|(number, _)| *number)
+    }
+
+    // Nodes.
+
+    /// Enters a node that is there already.
+    pub(crate) fn adopt_node(
+        &mut self,
+        metadata: Metadata,
+        instance: Instance,
+        publishers: Vec<PublisherEntry>,
+    ) {
+        let key = (metadata.name.to_string(), instance);
+        self.add_node(metadata, instance);
+        for publisher in publishers {
+            self.add_publisher(&key, publisher);
+        }
+    }
+
+    /// What it takes to grant a claim.
+    pub(crate) fn plan_advertise(&self, peer: u16, wanted: &Advertise) -> Result<Plan, Refusal> {
+        let Advertise { handle, metadata, claim, .. } = wanted;
+        self.check_request(peer, metadata)?;
+        if let Some(Held::Publication((_, instance))) = self.held(peer, *handle) {
+            return Ok(Plan { instance: *instance, give_way: Vec::new(), create: None });
+        }
+        let give_way = self.give_way(metadata)?;
+        // Where the old nodes give way, all instances are free.
+        let topic = self.topics.get(&*metadata.name).filter(|_| give_way.is_empty());
+        let instance = match claim {
+            Claim::Shared(instance) => *instance,
+            Claim::Lowest => Instance::all()
+                .find(|instance| !topic.is_some_and(|topic| topic.is_advertised(*instance)))
+                .ok_or_else(|| Refusal::InstancesTaken { topic: metadata.name.to_string() })?,
+        };
+        let node = topic.and_then(|topic| topic.nodes.get(&instance));
+        if node.is_some_and(|node| node.publishers.len() >= PUBLISHERS_MAX as usize) {
+            return Err(Refusal::PublishersTaken {
+                topic: metadata.name.to_string(),
+                instance,
+                limit: PUBLISHERS_MAX,
+            });
+        }
+        self.plan(instance, give_way, node.is_none(), metadata)
+    }
+
+    /// What it takes to grant a subscription.
+    pub(crate) fn plan_subscribe(
+        &self,
+        peer: u16,
+        wanted: &Subscribe,
+    ) -> Result<SubscribePlan, Refusal> {
+        let topic = self.topics.get(wanted.subject.name());
+        let metadata = match (&wanted.subject, topic) {
+            (Subject::Described(metadata), _) => metadata,
+            (Subject::Named(_), Some(topic)) => &topic.metadata,
+            (Subject::Named(name), None) => {
+                self.check_name(name)?;
+                self.check_handles(peer)?;
+                return Ok(SubscribePlan::Wait);
+            }
+        };
+        self.check_request(peer, metadata)?;
+        let give_way = self.give_way(metadata)?;
+        let topic = topic.filter(|_| give_way.is_empty());
+        let missing = !topic.is_some_and(|topic| topic.nodes.contains_key(&wanted.instance));
+        self.plan(wanted.instance, give_way, missing, metadata).map(SubscribePlan::Node)
+    }
+
+    fn plan(
+        &self,
+        instance: Instance,
+        give_way: Vec<NodeKey>,
+        missing: bool,
+        metadata: &Metadata,
+    ) -> Result<Plan, Refusal> {
+        if missing && self.node_count() >= NODES_MAX {
+            return Err(Refusal::Limit { what: "nodes".into(), limit: NODES_MAX as u32 });
+        }
+        Ok(Plan { instance, give_way, create: missing.then(|| metadata.clone()) })
+    }
+
+    fn check_request(&self, peer: u16, metadata: &Metadata) -> Result<(), Refusal> {
+        self.check_name(&metadata.name)?;
+        metadata.layout.check()?;
+        self.check_handles(peer)
+    }
+
+    fn check_name(&self, topic: &str) -> Result<(), Refusal> {
+        if is_topic_name(topic) { Ok(()) } else { Err(Refusal::BadName { topic: topic.into() }) }
+    }
+
+    fn check_handles(&self, peer: u16) -> Result<(), Refusal> {
+        if self.peers.get(&peer).map_or(0, |peer| peer.held.len()) >= HANDLES_MAX {
+            let what = "publications and subscriptions of one process".into();
+            return Err(Refusal::Limit { what, limit: HANDLES_MAX as u32 });
+        }
+        Ok(())
+    }
+
+    /// The nodes that a new layout replaces: all of the topic, if no live
+    /// process uses any of them.
+    fn give_way(&self, wanted: &Metadata) -> Result<Vec<NodeKey>, Refusal> {
+        let Some(topic) = self.topics.get(&*wanted.name) else { return Ok(Vec::new()) };
+        if wanted.layout.matches(&topic.metadata.layout) {
+            return Ok(Vec::new());
+        }
+        // Who has not re-joined yet may use anything.
+        let users: BTreeSet<u16> = topic.users().chain(self.expected()).collect();
+        if !users.is_empty() {
+            let layout = |metadata: &Metadata| Layout::clone(&metadata.layout);
+            return Err(Refusal::LayoutMismatch(Box::new(Mismatch {
+                topic: wanted.name.to_string(),
+                ours: layout(wanted),
+                theirs: layout(&topic.metadata),
+                users: users.iter().map(|peer| self.name_of(*peer)).collect(),
+            })));
+        }
+        Ok(topic.nodes.keys().map(|instance| (wanted.name.to_string(), *instance)).collect())
+    }
+
+    /// Forgets nodes that gave way.
+    pub(crate) fn remove_topic(&mut self, name: &str) {
+        self.topics.remove(name);
+    }
+
+    /// Enters a node that was made.
+    pub(crate) fn add_node(&mut self, metadata: Metadata, instance: Instance) {
+        let topic = self.topics.entry(metadata.name.to_string());
+        let topic = topic.or_insert_with(|| Topic { metadata, nodes: BTreeMap::new() });
+        topic.nodes.entry(instance).or_default();
+    }
+
+    /// Enters a publisher of a node that is there.
+    pub(crate) fn add_publisher(&mut self, key: &NodeKey, entry: PublisherEntry) {
+        let held = Held::Publication(key.clone());
+        if self.hold(entry.peer, entry.handle, held)
+            && let Some(node) = self.node_mut(key)
+        {
+            node.publishers.push(entry);
+        }
+    }
+
+    /// Enters a subscriber of a node that is there.
+    pub(crate) fn add_subscriber(&mut self, key: &NodeKey, number: u16, handle: u32) {
+        let held = Held::Subscription(key.clone());
+        if self.hold(number, handle, held)
+            && let Some(node) = self.node_mut(key)
+        {
+            node.subscribers.insert((number, handle));
+        }
+    }
+
+    /// Enters a subscription that waits for its topic.
+    pub(crate) fn add_waiting(&mut self, number: u16, wanted: &Subscribe) {
+        let topic = wanted.subject.name().to_string();
+        let held = Held::Waiting(topic.clone(), wanted.instance);
+        if self.hold(number, wanted.handle, held) {
+            self.waiting.entry(topic).or_default().insert((number, wanted.handle));
+        }
+    }
+
+    /// Notes what a handle stands for. False if that is noted already.
+    fn hold(&mut self, number: u16, handle: u32, held: Held) -> bool {
+        let Some(peer) = self.peers.get_mut(&number) else { return false };
+        // What a broker before us has noted is confirmed by whoever comes back.
+        if let Some(confirmed) = peer.confirmed.as_mut().filter(|_| peer.connected) {
+            confirmed.insert(handle);
+        }
+        peer.held.insert(handle, held.clone()) != Some(held)
+    }
+
+    fn held(&self, number: u16, handle: u32) -> Option<&Held> {
+        self.peers.get(&number)?.held.get(&handle)
+    }
+
+    fn node_mut(&mut self, key: &NodeKey) -> Option<&mut Node> {
+        self.topics.get_mut(&key.0)?.nodes.get_mut(&key.1)
+    }
+
+    /// Subscriptions that wait for this topic, which is described now: who, by
+    /// which handle, for which instance. They wait no more.
+    pub(crate) fn take_waiting(&mut self, topic: &str) -> Vec<(u16, u32, Instance)> {
+        let mut taken = Vec::new();
+        for (number, handle) in self.waiting.remove(topic).unwrap_or_default() {
+            let held = self.peers.get_mut(&number).and_then(|peer| peer.held.remove(&handle));
+            if let Some(Held::Waiting(_, instance)) = held {
+                taken.push((number, handle, instance));
+            }
+        }
+        taken
+    }
+
+    /// Gives a handle back. Returns the nodes whose counts have changed.
+    pub(crate) fn release(&mut self, number: u16, handle: u32) -> Estate {
+        self.remove(number, |held| held == handle)
+    }
+
+    fn remove(&mut self, number: u16, goes: impl Fn(u32) -> bool) -> Estate {
+        let mut estate = Estate::default();
+        let Some(peer) = self.peers.get_mut(&number) else { return estate };
+        let gone: Vec<_> = peer.held.extract_if(.., |handle, _| goes(*handle)).collect();
+        for (handle, held) in gone {
+            match held {
+                Held::Publication(key) => {
+                    if let Some(node) = self.node_mut(&key) {
+                        node.publishers
+                            .retain(|entry| (entry.peer, entry.handle) != (number, handle));
+                    }
+                    estate.advertised.push(key);
+                }
+                Held::Subscription(key) => {
+                    if let Some(node) = self.node_mut(&key) {
+                        node.subscribers.remove(&(number, handle));
+                    }
+                    estate.subscribed.push(key);
+                }
+                Held::Waiting(topic, _) => {
+                    if let Some(waiting) = self.waiting.get_mut(&topic) {
+                        waiting.remove(&(number, handle));
+                    }
+                }
+            }
+        }
+        self.waiting.retain(|_, waiting| !waiting.is_empty());
+        for keys in [&mut estate.advertised, &mut estate.subscribed] {
+            keys.sort();
+            keys.dedup();
+        }
+        estate
+    }
+
+    // What people ask.
+
+    /// A node's publishers and the number of its subscribers.
+    pub(crate) fn counts(&self, key: &NodeKey) -> (&[PublisherEntry], u64) {
+        match self.topics.get(&key.0).and_then(|topic| topic.nodes.get(&key.1)) {
+            Some(node) => (&node.publishers, node.subscribers.len() as u64),
+            None => (&[], 0),
+        }
+    }
+
+    pub(crate) fn users(&self, topic: &str, instance: Instance) -> Users {
+        let Some(node) = self.topics.get(topic).and_then(|topic| topic.nodes.get(&instance)) else {
+            return Users::default();
+        };
+        let mut subscribers = BTreeMap::<u16, u32>::new();
+        for (peer, _) in &node.subscribers {
+            *subscribers.entry(*peer).or_default() += 1;
+        }
+        let publisher =
+            |entry: &PublisherEntry| -> (u16, Priority) { (entry.peer, entry.priority) };
+        Users {
+            publishers: node.publishers.iter().map(publisher).collect(),
+            subscribers: subscribers.into_iter().collect(),
+        }
+    }
+
+    pub(crate) fn peers(&self) -> Vec<PeerInfo> {
+        let info = |(number, peer): (&u16, &Peer)| {
+            let publications =
+                peer.held.values().filter(|held| matches!(held, Held::Publication(_))).count();
+            PeerInfo {
+                peer: *number,
+                pid: peer.pid,
+                name: peer.name.clone(),
+                connected: peer.connected,
+                publications: publications as u32,
+                subscriptions: (peer.held.len() - publications) as u32,
+            }
+        };
+        self.peers.iter().map(info).collect()
+    }
+
+    pub(crate) fn topic_count(&self) -> usize {
+        self.topics.len()
+    }
+
+    pub(crate) fn node_count(&self) -> usize {
+        self.topics.values().map(|topic| topic.nodes.len()).sum()
+    }
+
+    pub(crate) fn advertised_count(&self) -> usize {
+        let nodes = self.topics.values().flat_map(|topic| topic.nodes.values());
+        nodes.filter(|node| !node.publishers.is_empty()).count()
+    }
+}
+
+impl Peer {
+    fn new(pid: u32, name: String, connected: bool) -> Self {
+        Self { pid, name, connected, confirmed: None, held: BTreeMap::new() }
+    }
+}
+
+impl Topic {
+    fn is_advertised(&self, instance: Instance) -> bool {
+        self.nodes.get(&instance).is_some_and(|node| !node.publishers.is_empty())
+    }
+
+    fn users(&self) -> impl Iterator<Item = u16> {
+        self.nodes.values().flat_map(|node| {
+            let publishers = node.publishers.iter().map(|entry| entry.peer);
+            publishers.chain(node.subscribers.iter().map(|(peer, _)| *peer))
+        })
+    }
+}
+
+const _: () = assert!(INSTANCES_MAX > 0 && PEERS_MAX < u16::MAX as usize);
