@@ -10,6 +10,7 @@ mod log;
 mod pace;
 mod record;
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Write};
 use std::path::{Path, PathBuf};
@@ -261,20 +262,22 @@ impl Replay<'_> {
         is_interrupted: bool,
         out: &mut dyn Write,
     ) -> anyhow::Result<()> {
-        let published = || {
-            let both = self.contents.series.iter().zip(&self.outlets);
-            both.filter_map(|(series, outlet)| Some((series, outlet.as_ref()?.published)))
-        };
-        let messages: u64 = published().map(|(_, messages)| messages).sum();
-        let instances = published().count();
-        let mut topics: Vec<&str> = published().map(|(series, _)| &*series.topic).collect();
-        topics.sort_unstable();
-        topics.dedup();
-        let log_seconds =
-            self.position_us.saturating_sub(self.args.start.as_micros() as u64) as f64 / 1e6;
+        let advertised = self.outlets.iter().flatten().count();
+        // A log announces topics too that stay silent. They are on the bus, and
+        // they are not counted here, as no reader of logs counts them.
+        let published: Vec<(&Series, u64)> = (self.contents.series.iter().zip(&self.outlets))
+            .filter_map(|(series, outlet)| Some((series, outlet.as_ref()?.published)))
+            .filter(|&(_, messages)| messages > 0)
+            .collect();
+        let messages: u64 = published.iter().map(|(_, messages)| messages).sum();
+        let topics: BTreeSet<&str> = published.iter().map(|(series, _)| &*series.topic).collect();
+        let (topics, instances) = (topics.len(), published.len());
+        let skipped_us = self.args.start.as_micros() as u64;
+        let log_seconds = self.position_us.saturating_sub(skipped_us) as f64 / 1e6;
         let seconds = took.as_secs_f64();
         if self.args.json {
-            let series: Vec<_> = published()
+            let series: Vec<_> = published
+                .iter()
                 .map(|(series, messages)| {
                     json!({
                         "topic": series.topic,
@@ -286,8 +289,9 @@ impl Replay<'_> {
             let line = json!({
                 "file": self.args.file.to_string_lossy(),
                 "messages": messages,
-                "topics": topics.len(),
+                "topics": topics,
                 "instances": instances,
+                "advertised": advertised,
                 "log_seconds": log_seconds,
                 "seconds": seconds,
                 "interrupted": is_interrupted,
@@ -298,9 +302,8 @@ impl Replay<'_> {
         } else if !self.args.quiet {
             writeln!(
                 out,
-                "{messages} messages, {} topics, {instances} instances, \
-                 {log_seconds:.1} s of the log in {seconds:.1} s",
-                topics.len()
+                "{messages} messages, {topics} topics, {instances} instances, \
+                 {log_seconds:.1} s of the log in {seconds:.1} s"
             )?;
         }
         Ok(())
