@@ -14,7 +14,7 @@ use crate::context::Context;
 pub(crate) struct Args {
     /// The directory of the nodes; the only one there is
     #[arg(default_value = "/obj", value_name = "DIR")]
-    dir: String,
+    path: String,
 
     /// Say more: message size, queue length, publishers, subscribers, messages
     #[arg(short)]
@@ -31,8 +31,8 @@ first publisher), publishers (#PUB), subscriptions (#SUB), messages published
 so far (#MSG), and the node's name.";
 
 pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
-    if !matches!(args.dir.trim_matches('/'), "obj") {
-        bail!("no such directory: {}; the nodes are in /obj", args.dir);
+    if !matches!(args.path.trim_matches('/'), "obj") {
+        bail!("no such directory: {}; the nodes are in /obj", args.path);
     }
     let system = &context.system;
     if !system.nodes().exists() {

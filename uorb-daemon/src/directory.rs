@@ -7,7 +7,7 @@
 //! switched off to an empty directory.
 
 use std::fs::{self, DirBuilder, File};
-use std::io::{self, Write};
+use std::io::{self, Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::Path;
 
@@ -52,7 +52,7 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
         Ok(Inscription { version: NODE_FILE_VERSION, boot_id: boot_id()?, system_id })
     };
     let living = living(system)?;
-    let before = Inscription::read(&system.lock());
+    let before = Inscription::read(&mut lock);
     if let Some(before) = before
         && !living.is_empty()
         && before.boot_id == boot_id()?
@@ -258,7 +258,6 @@ fn write_lock() -> libc::flock {
 }
 
 fn random() -> anyhow::Result<u64> {
-    use std::io::Read;
     let mut bytes = [0; 8];
     let path = "/dev/urandom";
     File::open(path)
@@ -275,12 +274,16 @@ impl Inscription {
     /// Three numbers in words, for people too.
     fn write(&self, lock: &mut File) -> io::Result<()> {
         lock.set_len(0)?;
+        lock.rewind()?;
         let boot = u128::from_be_bytes(self.boot_id);
         write!(lock, "version {}\nboot {boot:032x}\nsystem {:016x}\n", self.version, self.system_id)
     }
 
-    fn read(path: &Path) -> Option<Self> {
-        let text = fs::read_to_string(path).ok()?;
+    /// Reads it through the descriptor that holds the lock: to open the file
+    /// once more and close it again would let the lock go (fcntl(2)).
+    fn read(lock: &mut File) -> Option<Self> {
+        let mut text = String::new();
+        lock.read_to_string(&mut text).ok()?;
         let value = |name: &str| text.lines().find_map(|line| line.strip_prefix(name));
         Some(Self {
             version: value("version ")?.parse().ok()?,

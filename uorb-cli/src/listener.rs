@@ -1,0 +1,278 @@
+//! `uorb listener`: shows the messages of a topic, whatever its type.
+//!
+//! It is a subscription like any other: what it shows is what a module would
+//! have copied. It never gives up by itself; Ctrl-C, `--timeout`, a count, or
+//! the end of the system end it.
+
+use std::io::{self, ErrorKind, Write};
+use std::os::fd::AsFd;
+use std::time::{Duration, Instant};
+
+use anyhow::bail;
+use nix::poll::{PollFd, PollFlags, PollTimeout};
+use uorb_core::{Error, Instance, RawSubscription, Session};
+
+use crate::context::Context;
+use crate::exit::{Early, say};
+use crate::interrupt::{Interrupt, LOOK_AGAIN};
+use crate::print::{Format, Message, Printer, Style};
+use crate::topics;
+
+/// Show the messages of a topic.
+///
+/// Without a count: the newest message of every instance. With one: so many of
+/// instance 0, or of -i, the newest first and then as they are published.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// The topic
+    topic: String,
+
+    /// How many messages
+    #[arg(conflicts_with_all = ["number", "follow"], value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+
+    /// How many messages
+    #[arg(short, value_name = "COUNT", conflicts_with = "follow", value_parser = clap::value_parser!(u64).range(1..))]
+    number: Option<u64>,
+
+    /// Of which instance, 0 to 9 [default: 0; without a count, all]
+    #[arg(short, long, value_parser = instance)]
+    instance: Option<Instance>,
+
+    /// At most so many messages a second; without a count, until Ctrl-C
+    #[arg(short, long, value_name = "HZ", value_parser = positive)]
+    rate: Option<f64>,
+
+    /// Until Ctrl-C
+    #[arg(short, long)]
+    follow: bool,
+
+    /// Give up when nothing came for so long (exit code 124)
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    timeout: Option<f64>,
+
+    /// Wait for a topic that nobody has described yet, whatever its name
+    #[arg(long)]
+    wait: bool,
+
+    /// One JSON object a line
+    #[arg(long, group = "format")]
+    json: bool,
+
+    /// A table with a column for every number, as pyulog names them
+    #[arg(long, group = "format")]
+    csv: bool,
+
+    /// Only these fields: xyz, xyz[1], esc[0].esc_rpm
+    #[arg(long, value_name = "FIELD,..", value_delimiter = ',')]
+    field: Vec<String>,
+
+    /// Say how long ago a message was
+    #[arg(long, conflicts_with = "format")]
+    age: bool,
+
+    /// Add instance, generation, time, sender and losses, in JSON under _meta
+    #[arg(long, requires = "format")]
+    meta: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  uorb listener sensor_accel              the newest of every instance
+  uorb listener sensor_accel 5            five messages of instance 0
+  uorb listener sensor_accel -i 1 -n 5    five of instance 1
+  uorb listener sensor_accel -r 2 --age   two a second, until Ctrl-C
+  uorb listener vehicle_attitude -f --json --field q,timestamp | jq .q
+  uorb listener sensor_gyro 1000 --csv > gyro.csv
+  uorb listener battery_status 1 --timeout 5 || echo no battery
+
+In JSON every integer has all its digits, a float is the shortest that reads
+back the same, NaN and infinities are null. A program that is installed (or
+linked) under the name listener or px4-listener is this command.
+
+Exit codes: 0, also for Ctrl-C where no count was given; 130 for Ctrl-C before
+all messages came; 124 when --timeout is over; 1 for any error.";
+
+/// An instance's number on the command line.
+pub(crate) fn instance(text: &str) -> Result<Instance, String> {
+    let number: u8 = text.parse().map_err(|_| "it is not in 0..9".to_string())?;
+    Instance::try_from(number)
+}
+
+/// A rate or a time on the command line.
+pub(crate) fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        // A time that long is none, and a rate that low never comes to an end.
+        Ok(value) if (1e-6..=1e9).contains(&value) => Ok(value),
+        _ => Err("it is not a number from 0.000001 to 1000000000".into()),
+    }
+}
+
+pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
+    let session = context.session()?;
+    let printer = Printer::new(args.style());
+    match topics::describe(&session, &args.topic)? {
+        // A field that is not there is said now, not when a message comes.
+        Some(metadata) => drop(printer.places(&metadata.layout)?),
+        None if args.wait => {}
+        None => return Err(topics::unknown(context, &args.topic)),
+    }
+    let mut listener = Listener { args, interrupt: Interrupt::catch()?, printer, out };
+    let ended = match args.number.or(args.count) {
+        None if args.follow || args.rate.is_some() => listener.show(&session, u64::MAX),
+        None if args.instance.is_none() => listener.show_newest(&session, context),
+        count => listener.show(&session, count.unwrap_or(1)),
+    };
+    listener.out.flush()?;
+    ended
+}
+
+struct Listener<'a> {
+    args: &'a Args,
+    interrupt: Interrupt,
+    printer: Printer,
+    out: &'a mut dyn Write,
+}
+
+impl Listener<'_> {
+    /// Shows the newest message of every instance, once.
+    fn show_newest(&mut self, session: &Session, context: &Context) -> anyhow::Result<()> {
+        let topic = &self.args.topic;
+        let nodes = context.system.list_nodes()?.into_iter();
+        let mut instances: Vec<Instance> =
+            nodes.filter(|(name, _)| name == topic).map(|(_, instance)| instance).collect();
+        if instances.is_empty() {
+            instances.push(Instance::FIRST);
+        }
+        let mut subscriptions = Vec::new();
+        for instance in instances {
+            subscriptions.push(RawSubscription::subscribe(session, topic, instance)?);
+        }
+        if !subscriptions.iter_mut().any(|subscription| subscription.updated()) {
+            self.say_that_we_wait();
+            let mut waiting: Vec<_> = subscriptions.iter_mut().collect();
+            self.wait(&mut waiting)?;
+        }
+        subscriptions.retain_mut(|subscription| subscription.updated());
+        let several = subscriptions.len() > 1;
+        for mut subscription in subscriptions {
+            self.show_messages(&mut subscription, 1, several)?;
+        }
+        Ok(())
+    }
+
+    /// Shows so many messages of one instance, and waits for them.
+    fn show(&mut self, session: &Session, count: u64) -> anyhow::Result<()> {
+        let instance = self.args.instance.unwrap_or(Instance::FIRST);
+        let mut subscription = RawSubscription::subscribe(session, &self.args.topic, instance)?;
+        if let Some(rate_hz) = self.args.rate {
+            subscription.set_interval(Duration::from_secs_f64(1.0 / rate_hz));
+        }
+        if !subscription.updated() {
+            self.say_that_we_wait();
+        }
+        let shown = self.show_messages(&mut subscription, count, self.args.instance.is_some());
+        if subscription.lost() > 0 {
+            let lost = subscription.lost();
+            say(format_args!("{lost} messages were overwritten before they could be copied"));
+        }
+        match shown {
+            // This is how it ends where no end was given.
+            Err(error) if count == u64::MAX && is_interrupt(&error) => Ok(()),
+            shown => shown,
+        }
+    }
+
+    fn show_messages(
+        &mut self,
+        subscription: &mut RawSubscription,
+        count: u64,
+        names_instance: bool,
+    ) -> anyhow::Result<()> {
+        // The layout is known when there is something to copy, and not before.
+        self.wait(&mut [subscription])?;
+        let Some(metadata) = subscription.metadata().cloned() else { return Ok(()) };
+        let metadata = topics::typed(metadata);
+        let places = self.printer.places(&metadata.layout)?;
+        let mut bytes = Vec::new();
+        for number in 1..=count {
+            self.wait(&mut [subscription])?;
+            let copied = subscription.copy(&mut bytes).then(|| subscription.last_copied());
+            let Some(copied) = copied.flatten() else {
+                let path = format!("/obj/{}{}", metadata.name, subscription.instance()).into();
+                bail!(Error::CorruptNode { path, what: "its ring contradicts itself".into() });
+            };
+            let message = Message {
+                topic: &metadata.name,
+                instance: subscription.instance(),
+                names_instance,
+                number,
+                bytes: &bytes,
+                copied,
+                lost: subscription.lost(),
+            };
+            self.printer.print(self.out, &places, &message)?;
+        }
+        Ok(())
+    }
+
+    /// Waits until there is something to copy.
+    fn wait(&mut self, subscriptions: &mut [&mut RawSubscription]) -> anyhow::Result<()> {
+        let since = Instant::now();
+        let timeout = self.args.timeout.map(Duration::from_secs_f64);
+        let mut rest = Duration::ZERO;
+        loop {
+            if self.interrupt.has_come() {
+                return Err(Early::Interrupted.into());
+            }
+            if uorb_core::poll(subscriptions, Some(rest))? > 0 {
+                return Ok(());
+            }
+            // Whoever reads may see all that came, and know that more will.
+            self.out.flush()?;
+            if reader_is_gone() {
+                return Err(io::Error::from(ErrorKind::BrokenPipe).into());
+            }
+            rest = match timeout.map(|timeout| timeout.saturating_sub(since.elapsed())) {
+                Some(Duration::ZERO) => {
+                    let seconds = self.args.timeout.unwrap_or_default();
+                    let words = format!("no message of {} for {seconds} s", self.args.topic);
+                    return Err(Early::TimedOut(words).into());
+                }
+                Some(rest) => rest.min(LOOK_AGAIN),
+                None => LOOK_AGAIN,
+            };
+        }
+    }
+
+    fn say_that_we_wait(&self) {
+        let Args { topic, instance, .. } = self.args;
+        let which = instance.map_or(String::new(), |instance| format!(" instance {instance}"));
+        say(format_args!("{topic}{which}: nothing was published yet; waiting, Ctrl-C ends it"));
+    }
+}
+
+impl Args {
+    fn style(&self) -> Style {
+        let format = match (self.json, self.csv) {
+            (true, _) => Format::Json,
+            (_, true) => Format::Csv,
+            _ => Format::Text,
+        };
+        Style { format, fields: self.field.clone(), age: self.age, meta: self.meta }
+    }
+}
+
+fn is_interrupt(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(Early::Interrupted))
+}
+
+/// Whether stdout is a pipe that nobody reads any more. A topic may be slow,
+/// and `head` is gone long before there is something to write.
+fn reader_is_gone() -> bool {
+    let stdout = io::stdout();
+    let mut pipe = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
+    let polled = nix::poll::poll(&mut pipe, PollTimeout::ZERO);
+    polled.is_ok() && pipe[0].revents().is_some_and(|events| events.contains(PollFlags::POLLERR))
+}
