@@ -17,6 +17,7 @@ mod replay;
 mod start;
 mod status;
 mod stop;
+mod top;
 mod topics;
 
 use std::io::{self, BufWriter, Write};
@@ -49,6 +50,7 @@ enum Command {
     Start(start::Args),
     Stop(stop::Args),
     Status(status::Args),
+    Top(top::Args),
     Listener(listener::Args),
     Ls(ls::Args),
     Pub(publish::Args),
@@ -85,6 +87,7 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Start(args) => start::run(args, &context),
         Command::Stop(args) => stop::run(args, &context),
         Command::Status(args) => status::run(args, &context, out),
+        Command::Top(args) => top::run(args, &context, out),
         Command::Listener(args) => listener::run(args, &context, out),
         Command::Pub(args) => publish::run(args, &context),
         Command::Ls(args) => ls::run(args, &context, out),

@@ -31,6 +31,7 @@ use self::record::Source;
 use crate::context::Context;
 use crate::exit::{self, Early};
 use crate::interrupt::Interrupt;
+use crate::topics::compiled_in;
 
 /// Publish a ULog flight log, at the pace at which it was recorded.
 #[derive(Debug, clap::Args)]
@@ -193,7 +194,8 @@ impl Outlet {
         let metadata = Metadata {
             name: topic.clone().into(),
             layout: std::borrow::Cow::Owned(layout.clone()),
-            queue_length: queue_length(topic),
+            // A log does not say how many messages a topic keeps.
+            queue_length: compiled_in(topic).map_or(QueueLength::ONE, |ours| ours.queue_length),
         };
         let options =
             AdvertiseOptions { claim: Claim::Shared(instance), ..AdvertiseOptions::default() };
@@ -201,12 +203,6 @@ impl Outlet {
             .with_context(|| format!("cannot advertise {topic}{instance}"))?;
         Ok(Self { publication, message: vec![0; layout.size_bytes as usize], published: 0 })
     }
-}
-
-/// A log does not say how many messages a topic keeps; our own .msg files do.
-fn queue_length(topic: &str) -> QueueLength {
-    let ours = uorb_msg::TOPICS.iter().find(|metadata| metadata.name == topic);
-    ours.map_or(QueueLength::ONE, |metadata| metadata.queue_length)
 }
 
 struct Replay<'a> {
