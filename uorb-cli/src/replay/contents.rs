@@ -5,6 +5,7 @@
 //! that a log that makes no sense is refused before it is on the bus.
 
 use std::collections::HashSet;
+use std::io::SeekFrom;
 
 use super::log::{Ending, Fault, Series, Told, read};
 use super::pace::{Clock, Judge, Judged};
@@ -60,6 +61,7 @@ impl Contents {
         };
         match ending {
             Err(fault) if messages == 0 => Err(fault),
+            Ok(_) if messages == 0 => Err(Fault::NoMessage(source.seek(SeekFrom::End(0))?)),
             ending => Ok(Self {
                 series,
                 messages,

@@ -22,6 +22,8 @@ const FORMATS_MAX: usize = 4_096;
 pub(super) struct Formats {
     /// What comes after the colon.
     texts: HashMap<String, String>,
+    /// The byte of the file at which each stands, in their order.
+    bytes: Vec<(String, u64)>,
 }
 
 /// What is wrong with a format.
@@ -50,9 +52,25 @@ pub(super) enum FormatFault {
     Layout(#[from] LayoutFault),
 }
 
+impl FormatFault {
+    /// The message whose format is at fault, where it is one alone.
+    fn message(&self) -> Option<&str> {
+        match self {
+            Self::Entry { message, .. } | Self::UnknownType { message, .. } => Some(message),
+            Self::Layout(
+                LayoutFault::Size { name: message, .. }
+                | LayoutFault::Field { message, .. }
+                | LayoutFault::TooMany { message },
+            ) => Some(message),
+            Self::Unknown(_) | Self::NoName(_) | Self::Twice(_) | Self::TooMany => None,
+            Self::Circle(_) | Self::TooDeep(_) => None,
+        }
+    }
+}
+
 impl Formats {
     /// Takes a format as it stands in the log.
-    pub(super) fn add(&mut self, text: &str) -> Result<(), FormatFault> {
+    pub(super) fn add(&mut self, at_byte: u64, text: &str) -> Result<(), FormatFault> {
         let (name, fields) = match text.split_once(':') {
             Some((name, fields)) if !name.is_empty() => (name, fields),
             _ => return Err(FormatFault::NoName(excerpt(text))),
@@ -60,15 +78,24 @@ impl Formats {
         if self.texts.len() == FORMATS_MAX {
             return Err(FormatFault::TooMany);
         }
-        match self.texts.insert(name.to_string(), fields.to_string()) {
-            None => Ok(()),
-            Some(_) => Err(FormatFault::Twice(name.to_string())),
+        if self.texts.insert(name.to_string(), fields.to_string()).is_some() {
+            return Err(FormatFault::Twice(name.to_string()));
         }
+        self.bytes.push((name.to_string(), at_byte));
+        Ok(())
     }
 
-    /// Checks all of them, those that nobody uses too.
-    pub(super) fn check(&self) -> Result<(), FormatFault> {
-        self.texts.keys().try_for_each(|message| self.layout(message).map(|_| ()))
+    /// Checks all of them, those that nobody uses too. Says at which byte the
+    /// one stands that is at fault.
+    pub(super) fn check(&self) -> Result<(), (u64, FormatFault)> {
+        for (message, at_byte) in &self.bytes {
+            self.layout(message).map_err(|fault| {
+                let culprit = fault.message().unwrap_or(message);
+                let found = self.bytes.iter().find(|(message, _)| message == culprit);
+                (found.map_or(*at_byte, |&(_, at_byte)| at_byte), fault)
+            })?;
+        }
+        Ok(())
     }
 
     /// The layout of a message, nested ones included.
@@ -179,7 +206,10 @@ mod tests {
 
     fn formats(texts: &[&str]) -> Result<Formats, FormatFault> {
         let mut formats = Formats::default();
-        texts.iter().try_for_each(|text| formats.add(text)).map(|()| formats)
+        for (at_byte, text) in (0..).zip(texts) {
+            formats.add(at_byte, text)?;
+        }
+        Ok(formats)
     }
 
     fn layout(texts: &[&str]) -> Result<Layout, FormatFault> {
@@ -259,7 +289,7 @@ mod tests {
         ) {
             let mut formats = Formats::default();
             for layout in [&outer, &inner] {
-                formats.add(&format!("{}:{}", layout.name, layout.o_fields())).unwrap();
+                formats.add(0, &format!("{}:{}", layout.name, layout.o_fields())).unwrap();
             }
             prop_assert_eq!(formats.layout("outer"), Ok(outer));
         }
@@ -291,6 +321,14 @@ mod tests {
             assert!(error.contains(expected), "{texts:?}: {error}");
         }
         assert_eq!(formats(&[]).unwrap().layout("a"), Err(FormatFault::Unknown("a".to_string())));
+    }
+
+    #[test]
+    fn the_place_of_a_mistake_is_that_of_the_format_at_fault() {
+        let formats = formats(&["a:float x;", "b:c y;", "c:d z;", "e:float x;"]).unwrap();
+        let (at_byte, fault) = formats.check().unwrap_err();
+        assert_eq!(at_byte, 2);
+        assert!(matches!(fault, FormatFault::UnknownType { message, .. } if message == "c"));
     }
 
     #[test]

@@ -66,6 +66,8 @@ pub(super) enum Fault {
     Io(#[from] io::Error),
     #[error(transparent)]
     NoLog(#[from] NoLog),
+    #[error("it ends at byte {0}, and there is no message in it")]
+    NoMessage(u64),
     #[error("byte {at_byte}: {what}")]
     Record { at_byte: u64, what: RecordFault },
 }
@@ -92,6 +94,8 @@ pub(super) enum RecordFault {
     Size { topic: String, found_bytes: usize, size_bytes: usize, logged_bytes: usize },
     #[error("the flags say that records were appended at byte {0}, where they cannot be")]
     Appended(u64),
+    #[error("the file ends here or soon, before the records that were appended to it")]
+    LacksAppended,
     #[error("{0}")]
     Parser(String),
 }
@@ -122,7 +126,12 @@ pub(super) fn read<E: From<Fault>>(
         let at_byte = records.at_byte();
         let mut record = match records.next().map_err(Fault::from)? {
             Next::Record(record) => record,
-            Next::CutOff => return Ok(Ending::CutOff { at_byte }),
+            // A length that is damaged looks like an end, too.
+            Next::CutOff(Some(kind)) if !kind.is_ascii_uppercase() => {
+                return Err(at(at_byte, RecordFault::Kind(kind)).into());
+            }
+            Next::CutOff(_) => return Ok(Ending::CutOff { at_byte }),
+            Next::LacksAppended => return Err(at(at_byte, RecordFault::LacksAppended).into()),
             Next::End => return Ok(Ending::Whole),
         };
         // Where records were appended, it is not the byte that we stood at.
@@ -131,28 +140,35 @@ pub(super) fn read<E: From<Fault>>(
             // Logs of before 2017 have no flags; px4-ulog waits for some.
             parse(at_byte, &NO_FLAGS)?;
         }
+        let fault = |what: RecordFault| at(at_byte, what);
         match record.kind {
             b'B' => {
                 parse(at_byte, record.bytes)?;
                 let offsets = appended_offsets(record.payload());
-                records
-                    .append(&offsets)
-                    .map_err(|offset| at(at_byte, RecordFault::Appended(offset)))?;
+                records.append(&offsets).map_err(RecordFault::Appended).map_err(fault)?;
             }
             b'F' => {
-                topics.add_format(record.payload()).map_err(|what| at(at_byte, what))?;
+                topics.add_format(&record).map_err(fault)?;
                 parse(at_byte, record.bytes)?;
             }
-            b'A' => match topics.announce(record.payload()).map_err(|what| at(at_byte, what))? {
-                Announced::Again => {}
-                Announced::OtherNumber => parse(at_byte, record.bytes)?,
-                Announced::New(series) => {
-                    parse(at_byte, record.bytes)?;
-                    tell(Told::Series(series))?;
+            b'A' => {
+                if topics.series.is_empty() {
+                    // px4-ulog resolves all of them now; of some it would not
+                    // come to an end.
+                    let fault = |(at_byte, fault)| at(at_byte, RecordFault::Format(fault));
+                    topics.formats.check().map_err(fault)?;
                 }
-            },
+                match topics.announce(record.payload()).map_err(fault)? {
+                    Announced::Again => {}
+                    Announced::OtherNumber => parse(at_byte, record.bytes)?,
+                    Announced::New(series) => {
+                        parse(at_byte, record.bytes)?;
+                        tell(Told::Series(series))?;
+                    }
+                }
+            }
             b'D' => {
-                topics.fit(&mut record).map_err(|what| at(at_byte, what))?;
+                topics.fit(&mut record).map_err(fault)?;
                 parse(at_byte, record.bytes)?;
                 if let Some(id) = decoded.take() {
                     tell(Told::Message(topics.message(id, &record.payload()[2..])))?;
@@ -161,7 +177,7 @@ pub(super) fn read<E: From<Fault>>(
             // Parameters, log lines and the like, and what a later version of
             // the format may add.
             kind if kind.is_ascii_uppercase() => {}
-            kind => return Err(at(at_byte, RecordFault::Kind(kind)).into()),
+            kind => return Err(fault(RecordFault::Kind(kind)).into()),
         }
     }
     Ok(Ending::Whole)
@@ -221,9 +237,10 @@ enum Announced {
 }
 
 impl Topics {
-    fn add_format(&mut self, payload: &[u8]) -> Result<(), RecordFault> {
-        let text = str::from_utf8(payload).map_err(|_| RecordFault::NotText("format"))?;
-        Ok(self.formats.add(text)?)
+    fn add_format(&mut self, record: &Record<'_>) -> Result<(), RecordFault> {
+        let text = str::from_utf8(record.payload());
+        let text = text.map_err(|_| RecordFault::NotText("format"))?;
+        Ok(self.formats.add(record.at_byte, text)?)
     }
 
     fn announce(&mut self, payload: &[u8]) -> Result<Announced, RecordFault> {
@@ -239,10 +256,6 @@ impl Topics {
             let before = format!("{}{}", before.topic, before.instance);
             let now = format!("{topic}{instance}");
             return Err(RecordFault::Announced { id, before, now });
-        }
-        if self.series.is_empty() {
-            // px4-ulog resolves all of them now, and not all of them end there.
-            self.formats.check()?;
         }
         let layout = self.formats.layout(topic)?;
         let next = self.series.len();

@@ -32,8 +32,10 @@ pub(super) struct Records<'s> {
 #[derive(Debug)]
 pub(super) enum Next<'a> {
     Record(Record<'a>),
-    /// The file ends inside a record, or before what should be appended.
-    CutOff,
+    /// The file ends inside a record: of this kind, if that much is left.
+    CutOff(Option<u8>),
+    /// The file ends before what should be appended to it.
+    LacksAppended,
     End,
 }
 
@@ -102,7 +104,7 @@ impl<'s> Records<'s> {
         Ok(Ok((records, header)))
     }
 
-    /// Where the next record begins; where reading stopped, at the end.
+    /// Where the next record begins.
     pub(super) fn at_byte(&self) -> u64 {
         self.at_byte
     }
@@ -141,8 +143,9 @@ impl<'s> Records<'s> {
                     self.source.seek(SeekFrom::Start(appended))?;
                     self.at_byte = appended;
                 }
-                None if left_bytes == 0 && !self.lacks_appended => return Ok(Next::End),
-                None => return Ok(Next::CutOff),
+                None if self.lacks_appended => return Ok(Next::LacksAppended),
+                None if left_bytes == 0 => return Ok(Next::End),
+                None => return Ok(Next::CutOff(self.buffer.get(2).copied())),
             }
         }
     }
@@ -189,7 +192,8 @@ mod tests {
         loop {
             match records.next().unwrap() {
                 Next::Record(record) => all.push((record.at_byte, record.payload().to_vec())),
-                Next::CutOff => return (all, "cut off"),
+                Next::CutOff(_) => return (all, "cut off"),
+                Next::LacksAppended => return (all, "lacks appended"),
                 Next::End => return (all, "end"),
             }
         }
@@ -235,8 +239,8 @@ mod tests {
         assert_eq!(read(&bytes, &[first]), (expected.clone(), "end"));
 
         // Cut off, so that nothing is left of what was appended.
-        assert_eq!(read(&bytes[..22], &[first]), (expected[..1].to_vec(), "cut off"));
-        assert_eq!(read(&bytes[..25], &[first]), (expected[..1].to_vec(), "cut off"));
+        assert_eq!(read(&bytes[..22], &[first]), (expected[..1].to_vec(), "lacks appended"));
+        assert_eq!(read(&bytes[..25], &[first]), (expected[..1].to_vec(), "lacks appended"));
     }
 
     #[test]
