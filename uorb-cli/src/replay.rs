@@ -57,6 +57,11 @@ pub(crate) struct Args {
     #[arg(long, default_value = "0", value_name = "SECONDS", value_parser = seconds)]
     start: Duration,
 
+    /// Keep so many messages of each topic, up to 128, for subscribers that are
+    /// slow; the log does not say how many it was
+    #[arg(long, value_name = "LENGTH")]
+    queue: Option<u32>,
+
     /// No progress bar, and no closing line
     #[arg(long, short)]
     quiet: bool,
@@ -81,7 +86,9 @@ The bytes of a message stay as they were recorded, its timestamp too: that is
 the time since the start of the vehicle, not of this machine.
 
 With `--speed max` a subscriber that is slower than the file is read loses
-messages, as with any publisher that is too fast for it; `uorb top` counts them.
+messages, as with any publisher that is too fast for it; `uorb top` counts them,
+and `--queue 128` makes them fewer. A topic that is compiled in has the queue of
+its .msg file, else one message.
 
 A log that was cut off, as by a loss of power, is published as far as it is
 whole. Exit code 0: to its end, or to the message that was cut off; 1: an error;
@@ -96,7 +103,7 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     let session = context.session()?;
     let mut outlets = Vec::new();
     for (series, is_chosen) in contents.series.iter().zip(is_chosen) {
-        outlets.push(if is_chosen { Some(Outlet::open(&session, series)?) } else { None });
+        outlets.push(if is_chosen { Some(Outlet::open(&session, series, args)?) } else { None });
     }
 
     let bar = bar(args, contents.length_us);
@@ -183,7 +190,7 @@ struct Outlet {
 }
 
 impl Outlet {
-    fn open(session: &Session, series: &Series) -> anyhow::Result<Self> {
+    fn open(session: &Session, series: &Series, args: &Args) -> anyhow::Result<Self> {
         let Series { topic, instance, layout } = series;
         if !is_topic_name(topic) {
             bail!("the log has a topic {topic:?}, which is no name for one");
@@ -197,8 +204,11 @@ impl Outlet {
             // A log does not say how many messages a topic keeps.
             queue_length: compiled_in(topic).map_or(QueueLength::ONE, |ours| ours.queue_length),
         };
-        let options =
-            AdvertiseOptions { claim: Claim::Shared(instance), ..AdvertiseOptions::default() };
+        let options = AdvertiseOptions {
+            claim: Claim::Shared(instance),
+            queue_length: args.queue.map(QueueLength::at_least),
+            ..AdvertiseOptions::default()
+        };
         let publication = RawPublication::advertise(session, &metadata, options)
             .with_context(|| format!("cannot advertise {topic}{instance}"))?;
         Ok(Self { publication, message: vec![0; layout.size_bytes as usize], published: 0 })

@@ -164,21 +164,23 @@ impl<'s> Records<'s> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::io::Cursor;
 
     use super::*;
 
-    fn record(kind: u8, payload: &[u8]) -> Vec<u8> {
+    pub(in super::super) fn record(kind: u8, payload: &[u8]) -> Vec<u8> {
         let mut bytes = (payload.len() as u16).to_le_bytes().to_vec();
         bytes.push(kind);
         bytes.extend_from_slice(payload);
         bytes
     }
 
-    fn file(records: &[Vec<u8>]) -> Vec<u8> {
+    /// A log of these records, which begins at the timestamp 1,000,000.
+    pub(in super::super) fn file(records: &[Vec<u8>]) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
-        bytes.extend_from_slice(&[1; 9]);
+        bytes.push(1);
+        bytes.extend_from_slice(&1_000_000_u64.to_le_bytes());
         bytes.extend(records.concat());
         bytes
     }

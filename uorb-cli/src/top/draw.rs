@@ -27,8 +27,9 @@ pub(super) fn draw(frame: &mut Frame<'_>, view: &mut View) {
 
 fn first_line(view: &View) -> Line<'static> {
     let update = &view.update;
-    let messages: f64 = update.topics.iter().map(|row| row.rate_hz).sum();
-    let kilobytes: f64 = update.topics.iter().map(|row| row.kb_per_s).sum();
+    // Not `sum`: of nothing, that is -0.
+    let messages = update.topics.iter().fold(0.0, |sum, row| sum + row.rate_hz);
+    let kilobytes = update.topics.iter().fold(0.0, |sum, row| sum + row.kb_per_s);
     let mut line = Line::from(title(update));
     if view.is_gone {
         line.push_span(Span::styled("   the system has ended", SORTED));
@@ -55,7 +56,7 @@ fn rows(view: &View) -> Table<'static> {
         Cell::from(head(name, is_sorted).alignment(Alignment::Right))
     });
     let seen = view.update.topics.iter().skip(view.scrolled).take(view.page).map(row);
-    let name_width = Constraint::Length(name_width(&view.update.topics) as u16);
+    let name_width = Constraint::Length(name_width(view.all_rows()) as u16);
     // Each with the blank before it, and room for the mark.
     let widths = WIDTHS.map(|width| Constraint::Length(width as u16));
     Table::new(seen, std::iter::once(name_width).chain(widths))
@@ -148,6 +149,8 @@ vehicle_acceleration    0    1 1000     0      1    48    48.0
 /eh█  Enter: keep, Esc: drop
 "
         );
+        // The name keeps the room that the longest of all names needs.
+        assert!(drawn(&mut view, 64, 4).contains("NAME           INST"));
         // Neither a tiny one nor none at all is a reason to panic.
         for (width, height) in [(10, 3), (1, 1), (0, 0)] {
             drawn(&mut view, width, height);

@@ -12,7 +12,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::INTERVAL;
 use super::draw::draw;
-use super::model::{Column, Look, Selection, Update, sort};
+use super::model::{Column, Look, Row, Selection, Update, sort};
 use super::nodes::Nodes;
 
 /// How long a signal may go unnoticed.
@@ -116,6 +116,11 @@ impl View {
     pub(super) fn take(&mut self, all: Update) {
         self.all = all;
         self.arrange();
+    }
+
+    /// All nodes, those that are not shown too.
+    pub(super) fn all_rows(&self) -> &[Row] {
+        &self.all.topics
     }
 
     /// Selects and sorts anew.
