@@ -1,2 +1,212 @@
 //! A process of a story: it does one thing on the bus, and says so in lines.
-fn main() {}
+//!
+//! The story speaks to it by lines too: `go` starts what waits, the end of the
+//! input ends it. An actor dies with the test that spawned it.
+
+use std::io::{BufRead, stdin};
+use std::os::fd::AsFd;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use nix::poll::{PollFd, PollFlags, PollTimeout};
+use uorb_core::{
+    AdvertiseOptions, Claim, Error, Instance, Priority, Publication, QueueLength, RawSubscription,
+    Session, Subscription, poll, topic,
+};
+use uorb_tests::Stamped;
+
+fn main() -> ExitCode {
+    nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let done = match &arguments[..] {
+        ["publish", count, queue] => publish(number(count), number(queue) as u32),
+        ["publish-for-ever", queue] => publish_for_ever(number(queue) as u32),
+        ["follow"] => follow(false),
+        ["follow-by-descriptor"] => follow(true),
+        ["claim", priority] => claim(number(priority) as u8),
+        ["hold-other-layout"] => hold_other_layout(),
+        ["follow-name", topic] => follow_name(topic),
+        ["fork-and-hold"] => fork_and_hold(),
+        other => panic!("no such actor: {other:?}"),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        // Part of some stories: they want to know which.
+        Err(error) => {
+            println!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn number(text: &str) -> u64 {
+    text.parse().unwrap_or_else(|_| panic!("{text:?} is not a number"))
+}
+
+/// The next line of the story; None when it has said all.
+fn heard() -> Option<String> {
+    let mut line = String::new();
+    (stdin().lock().read_line(&mut line).expect("the pipe can be read") > 0).then_some(line)
+}
+
+fn advertise(session: &Session, queue: u32) -> Result<Publication<Stamped>, Error> {
+    let queue_length = QueueLength::new(queue);
+    let options = AdvertiseOptions { queue_length, ..AdvertiseOptions::default() };
+    Publication::advertise_with(session, options)
+}
+
+/// Publishes a number of messages flat out, from `go` on.
+fn publish(count: u64, queue: u32) -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = advertise(&session, queue)?;
+    println!("advertised");
+    heard();
+    let sender = std::process::id().into();
+    for count in 0..count {
+        stamped.publish(&Stamped::new(count, sender))?;
+    }
+    println!("published");
+    heard();
+    Ok(())
+}
+
+/// Publishes until it is killed, or its input ends.
+fn publish_for_ever(queue: u32) -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = advertise(&session, queue)?;
+    println!("advertised");
+    let input = stdin();
+    let sender = std::process::id().into();
+    for count in 0.. {
+        stamped.publish(&Stamped::new(count, sender))?;
+        if count % 1_000 == 0 {
+            let mut ready = [PollFd::new(input.as_fd(), PollFlags::POLLIN)];
+            if nix::poll::poll(&mut ready, PollTimeout::ZERO).is_ok_and(|ready| ready > 0) {
+                println!("published {}", count + 1);
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Copies until its input has said something and all is copied, and checks
+/// every message: whole, and of a later generation than the one before.
+fn follow(by_descriptor: bool) -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Subscription::<Stamped>::subscribe(&session)?;
+    if by_descriptor {
+        stamped.open_descriptor()?;
+    }
+    println!("subscribed");
+    let (mut copied, mut torn, mut out_of_order) = (0_u64, 0_u64, 0_u64);
+    let mut generation = None;
+    let input = stdin();
+    let mut over = false;
+    loop {
+        // The story says that all is published before it says so to us.
+        let mut ready = [
+            PollFd::new(input.as_fd(), PollFlags::POLLIN),
+            PollFd::new(stamped.as_fd(), PollFlags::POLLIN),
+        ];
+        if by_descriptor && !over {
+            let _ = nix::poll::poll(&mut ready, PollTimeout::NONE);
+        } else {
+            let _ = nix::poll::poll(&mut ready[..1], PollTimeout::ZERO);
+        }
+        over = over || ready[0].any() == Some(true);
+        if !by_descriptor && !over {
+            poll(&mut [&mut stamped], Some(Duration::from_millis(100)))?;
+        }
+        while let Some(message) = stamped.update() {
+            let copy = stamped.last_copied().expect("just copied").generation;
+            copied += 1;
+            torn += u64::from(!message.is_whole());
+            let first = generation.is_none_or(|last| (1..1 << 31).contains(&copy.since(last)));
+            out_of_order += u64::from(!first);
+            generation = Some(copy);
+        }
+        if over {
+            break;
+        }
+    }
+    let (lost, pending) = (stamped.lost(), stamped.pending());
+    println!("copied {copied} lost {lost} pending {pending} torn {torn} disorder {out_of_order}");
+    Ok(())
+}
+
+/// Claims an instance at `go`, says which, and holds it.
+fn claim(priority: u8) -> Result<(), Error> {
+    let session = Session::connect()?;
+    println!("ready");
+    heard();
+    let options = AdvertiseOptions {
+        claim: Claim::Lowest,
+        priority: Priority(priority),
+        ..AdvertiseOptions::default()
+    };
+    let mut stamped = Publication::<Stamped>::advertise_with(&session, options)?;
+    println!("instance {}", stamped.instance());
+    while let Some(line) = heard() {
+        let count = line.trim().parse().unwrap_or(0);
+        stamped.publish(&Stamped::new(count, std::process::id().into()))?;
+        println!("published");
+    }
+    Ok(())
+}
+
+topic! {
+    /// Topic `stamped` as a program has it that was built from other text.
+    pub struct OtherStamped = "stamped" { pub other: u64 }
+}
+
+/// Subscribes to a topic by another layout than the stories have.
+fn hold_other_layout() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let _other = Subscription::<OtherStamped>::subscribe(&session)?;
+    println!("subscribed");
+    heard();
+    Ok(())
+}
+
+/// Follows a topic that it knows by name only, and says what it copies.
+fn follow_name(topic: &str) -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut subscription = RawSubscription::subscribe(&session, topic, Instance::FIRST)?;
+    println!("subscribed");
+    loop {
+        poll(&mut [&mut subscription], None)?;
+        let mut message = Vec::new();
+        while subscription.updated() && subscription.copy(&mut message) {
+            println!("{} bytes", message.len());
+        }
+    }
+}
+
+/// Advertises, forks, and lets parent and child live until they are killed. The
+/// child says what its handles say.
+fn fork_and_hold() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Publication::<Stamped>::advertise(&session)?;
+    let mut followed = Subscription::<Stamped>::subscribe(&session)?;
+    stamped.publish(&Stamped::new(7, 1))?;
+    // SAFETY: the child does nothing that needs the threads it does not have:
+    // the library's handles are made for this, and printing takes a lock that
+    // nobody holds.
+    #[allow(unsafe_code)]
+    let fork = unsafe { nix::unistd::fork() };
+    if fork.expect("a process more").is_child() {
+        // With the story, not with the parent.
+        let forked = |result: Result<(), Error>| matches!(result, Err(Error::Forked));
+        let publish = forked(stamped.publish(&Stamped::new(8, 1)).map(|_| ()));
+        let advertise = forked(Publication::<Stamped>::advertise(&session).map(|_| ()));
+        let subscribe = forked(Subscription::<Stamped>::subscribe(&session).map(|_| ()));
+        let copies = followed.updated() && followed.copy().is_some_and(|copy| copy.count == 7);
+        let wait = forked(poll(&mut [&mut followed], Some(Duration::ZERO)).map(|_| ()));
+        println!("child {publish} {advertise} {subscribe} {copies} {wait}");
+        println!("{}", std::process::id());
+    }
+    heard();
+    Ok(())
+}

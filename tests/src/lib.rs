@@ -60,6 +60,7 @@ impl Stamped {
 pub const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A private system.
+#[derive(Debug)]
 pub struct Bus {
     /// Where it lives.
     pub system: System,
@@ -112,6 +113,17 @@ impl Bus {
         let mut broker = self.broker.take().expect("a broker runs");
         broker.kill().expect("it can be killed");
         broker.wait().expect("it is our child");
+    }
+
+    /// Takes over a broker that a story has started by itself.
+    pub fn adopt_broker(&mut self, broker: Child) {
+        self.broker = Some(broker);
+    }
+
+    /// The same bus, of which this process holds nothing any more.
+    pub fn without_session(mut self) -> Self {
+        self.session = None;
+        self
     }
 
     /// The broker's process id.
@@ -202,6 +214,7 @@ impl Drop for Bus {
 }
 
 /// A process that a story has spawned. Killed when it is dropped.
+#[derive(Debug)]
 pub struct Actor {
     child: Child,
     stdin: Option<ChildStdin>,

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use uorb_core::{Error, Session, System};
 
-/// Where the system is, for all subcommands alike.
+// Where the system is, for all subcommands alike. Not a doc comment: clap would
+// take it for what the command is about.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Which system")]
 pub(crate) struct Place {

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use anyhow::Context as _;
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
@@ -34,7 +35,11 @@ pub(crate) struct Interrupt {
 
 impl Interrupt {
     /// From now on, Ctrl-C does not kill.
-    pub(crate) fn catch() -> io::Result<Self> {
+    pub(crate) fn catch() -> anyhow::Result<Self> {
+        Self::catch_signal().context("cannot catch Ctrl-C")
+    }
+
+    fn catch_signal() -> io::Result<Self> {
         let has_come = Arc::new(AtomicBool::new(false));
         let (pipe, write_end) = UnixStream::pair()?;
         // In this order, so that the first Ctrl-C only sets the flag.
@@ -51,7 +56,7 @@ impl Interrupt {
 
     /// Waits until this moment (None: for ever) or for Ctrl-C, whichever comes
     /// first. True: it was Ctrl-C.
-    pub(crate) fn wait_until(&self, moment: Option<Instant>) -> io::Result<bool> {
+    pub(crate) fn wait_until(&self, moment: Option<Instant>) -> anyhow::Result<bool> {
         loop {
             let rest = moment.map(|moment| moment.saturating_duration_since(Instant::now()));
             if self.has_come() || rest == Some(Duration::ZERO) {
@@ -60,7 +65,7 @@ impl Interrupt {
             let mut ready = [PollFd::new(self.pipe.as_fd(), PollFlags::POLLIN)];
             match ppoll(&mut ready, rest.map(TimeSpec::from_duration), None) {
                 Ok(_) | Err(Errno::EINTR) => {}
-                Err(errno) => return Err(errno.into()),
+                Err(errno) => return Err(errno).context("cannot wait"),
             }
         }
     }

@@ -9,9 +9,11 @@ use std::os::fd::AsFd;
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
+use clap_complete::ArgValueCandidates;
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{Error, Instance, RawSubscription, Session};
 
+use crate::completions::topic_names;
 use crate::context::Context;
 use crate::exit::{Early, say};
 use crate::interrupt::{Interrupt, LOOK_AGAIN};
@@ -26,6 +28,7 @@ use crate::topics;
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     /// The topic
+    #[arg(add = ArgValueCandidates::new(topic_names))]
     topic: String,
 
     /// How many messages

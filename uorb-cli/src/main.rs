@@ -4,12 +4,15 @@
 //! what one expects; the exit codes are in `exit.rs`. Installed under the name
 //! `listener` or `px4-listener` it is `uorb listener`.
 
+mod completions;
 mod context;
 mod exit;
 mod fields;
+mod info;
 mod interrupt;
 mod listener;
 mod ls;
+mod man;
 mod nearest;
 mod print;
 mod publish;
@@ -17,6 +20,7 @@ mod replay;
 mod start;
 mod status;
 mod stop;
+mod test;
 mod top;
 mod topics;
 
@@ -24,7 +28,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::context::{Context, Place};
 
@@ -40,10 +44,17 @@ struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
-  uorb start                       start the broker
-  uorb ls /obj                     list the nodes, as `ls /obj` does
+  uorb start                              start the broker
+  uorb listener sensor_accel 5            show five messages
+  uorb pub orb_test val=5                 publish one
+  uorb info sensor_accel                  fields, publishers, subscribers
+  uorb ls /obj                            list the nodes, as `ls /obj` does
+  uorb stop                               stop the broker
 
-`uorb help COMMAND` has more.";
+`uorb help COMMAND` has more, with examples.
+
+Exit codes: 0 done, 1 an error, 2 a command line that makes no sense, 124 a
+timeout, 130 Ctrl-C before what was asked for was done.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -53,25 +64,32 @@ enum Command {
     Top(top::Args),
     Listener(listener::Args),
     Ls(ls::Args),
+    Info(info::Args),
     Pub(publish::Args),
     Replay(replay::Args),
+    Test(test::Args),
+    Completions(completions::Args),
+    Man(man::Args),
 }
 
-/// What the program is when it is called `listener`.
+// What the program is when it is called `listener`. The words are those of the
+// subcommand, which a doc comment here would replace.
 #[derive(Debug, Parser)]
 #[command(name = "listener", version)]
 struct ListenerCli {
     #[command(flatten)]
-    place: Place,
-    #[command(flatten)]
     args: listener::Args,
+    #[command(flatten)]
+    place: Place,
 }
 
 fn main() -> ExitCode {
     let name = std::env::args_os().next().unwrap_or_default();
     let name = Path::new(&name).file_name().unwrap_or_default();
-    let cli = if name == "listener" || name == "px4-listener" {
-        let ListenerCli { place, args } = ListenerCli::parse();
+    let is_listener = name == "listener" || name == "px4-listener";
+    completions::answer(if is_listener { ListenerCli::command } else { Cli::command });
+    let cli = if is_listener {
+        let ListenerCli { args, place } = ListenerCli::parse();
         Cli { place, command: Command::Listener(args) }
     } else {
         Cli::parse()
@@ -89,8 +107,34 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Status(args) => status::run(args, &context, out),
         Command::Top(args) => top::run(args, &context, out),
         Command::Listener(args) => listener::run(args, &context, out),
+        Command::Info(args) => info::run(args, &context, out),
         Command::Pub(args) => publish::run(args, &context),
+        Command::Test(args) => test::run(args, &context, out),
+        Command::Completions(args) => completions::run(args, out),
+        Command::Man(args) => man::run(args, Cli::command(), out),
         Command::Ls(args) => ls::run(args, &context, out),
         Command::Replay(args) => replay::run(args, &context, out),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Cli::command().debug_assert();
+        ListenerCli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_has_help_with_examples() {
+        let uorb = Cli::command();
+        for command in uorb.get_subcommands().chain([&uorb, &ListenerCli::command()]) {
+            let name = command.get_name();
+            assert!(command.get_about().is_some(), "{name} does not say what it does");
+            let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(after.contains("Examples:\n"), "{name} has no examples");
+        }
     }
 }

@@ -7,11 +7,13 @@ use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
+use clap_complete::ArgValueCandidates;
 use uorb_core::{
     AdvertiseOptions, Claim, FieldType, Instance, Layout, Priority, RawPublication,
     RawSubscription, Session, now_us,
 };
 
+use crate::completions::topic_names;
 use crate::context::Context;
 use crate::exit::{Early, say};
 use crate::fields::assign::Assignment;
@@ -25,6 +27,7 @@ use crate::{listener, topics};
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     /// The topic
+    #[arg(add = ArgValueCandidates::new(topic_names))]
     topic: String,
 
     /// What the fields are to be: x=-0.5, q[0]=1, xyz=[1,2,3], esc[2].esc_rpm=5

@@ -1,8 +1,11 @@
 //! `uorb status`: how the broker is, the nodes, and what was lost.
 
+use std::fs::File;
 use std::io::Write;
 
 use anyhow::bail;
+use nix::fcntl::{FcntlArg, fcntl};
+use nix::libc;
 use serde::Serialize;
 use uorb_core::broker_side::{BrokerStatus, Node, NodeStatus, PeerInfo, Reply, Request, Role};
 use uorb_core::{Error, System, now_us};
@@ -13,7 +16,7 @@ use crate::context::Context;
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// Show all nodes, not only those that are advertised
+    /// Show all nodes in the table, not only those that are advertised
     #[arg(short, long)]
     all: bool,
 
@@ -78,6 +81,32 @@ struct NodeRow {
 }
 
 pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
+    match show(args, context, out) {
+        Err(error) if matches!(error.downcast_ref(), Some(Error::NoAnswer { .. })) => {
+            match lock_holder(&context.system) {
+                Some(pid) => bail!("the broker, pid {pid}, does not answer: it may be stopped"),
+                None => Err(error),
+            }
+        }
+        shown => shown,
+    }
+}
+
+/// Who has the broker's lock: a broker that does not answer has a pid, too.
+fn lock_holder(system: &System) -> Option<libc::pid_t> {
+    let file = File::options().read(true).write(true).open(system.lock()).ok()?;
+    let mut lock = libc::flock {
+        l_type: libc::F_WRLCK as libc::c_short,
+        l_whence: libc::SEEK_SET as libc::c_short,
+        l_start: 0,
+        l_len: 0,
+        l_pid: 0,
+    };
+    fcntl(&file, FcntlArg::F_GETLK(&mut lock)).ok()?;
+    (lock.l_type != libc::F_UNLCK as libc::c_short).then_some(lock.l_pid)
+}
+
+fn show(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
     let session = context.session()?;
     let Reply::Status(broker) = session.ask(Request::Status)? else {
         bail!("the broker did not say how it is");
@@ -87,20 +116,19 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     };
     // This command is not what was asked about.
     peers.retain(|peer| peer.peer != session.peer());
-    let nodes = nodes(&context.system)?;
     let status = Status {
         broker: Broker::new(&broker, &context.system),
         peers: peers.iter().map(Peer::new).collect(),
-        nodes: nodes.into_iter().filter(|node| args.all || args.json || node.advertised).collect(),
+        nodes: nodes(&context.system)?,
     };
     if args.json {
         writeln!(out, "{}", serde_json::to_string(&status)?)?;
         return Ok(());
     }
-    print(&status, out)
+    print(&status, args.all, out)
 }
 
-fn print(status: &Status<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+fn print(status: &Status<'_>, all: bool, out: &mut dyn Write) -> anyhow::Result<()> {
     let Status { broker, peers, nodes } = status;
     writeln!(
         out,
@@ -119,13 +147,14 @@ fn print(status: &Status<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
         broker.advertised
     )?;
     writeln!(out)?;
-    if nodes.is_empty() {
+    let shown: Vec<&NodeRow> = nodes.iter().filter(|node| all || node.advertised).collect();
+    if shown.is_empty() {
         writeln!(out, "No topics advertised")?;
     } else {
         // PX4's table, 2021 and later.
-        let width = nodes.iter().map(|node| node.topic.len()).max().unwrap_or(0).max(10);
+        let width = shown.iter().map(|node| node.topic.len()).max().unwrap_or(0).max(10);
         writeln!(out, "{:<1$} INST #SUB #Q SIZE PATH", "TOPIC NAME", width - 2)?;
-        for node in nodes {
+        for node in shown {
             let NodeRow { topic, instance, subscribers, queue_length, size_bytes, path, .. } = node;
             writeln!(
                 out,
@@ -262,13 +291,15 @@ mod tests {
 
     fn printed(status: &Status<'_>) -> String {
         let mut out = Vec::new();
-        print(status, &mut out).unwrap();
+        print(status, false, &mut out).unwrap();
         String::from_utf8(out).unwrap()
     }
 
     #[test]
     fn the_table_is_px4s() {
-        let status = status(vec![node("sensor_mag", 0, 20), node("vehicle_attitude", 1, 0)]);
+        let mut gone = node("sensor_gyro", 0, 1);
+        gone.advertised = false;
+        let status = status(vec![node("sensor_mag", 0, 20), gone, node("vehicle_attitude", 1, 0)]);
         assert_eq!(
             printed(&status),
             "\
@@ -281,6 +312,7 @@ vehicle_attitude  1    3  1   48 /obj/vehicle_attitude1
 
 TOPIC, NR LOST MSGS
 sensor_mag0: 20
+sensor_gyro0: 1
 "
         );
     }

@@ -42,6 +42,8 @@ where
     let mut publication = Publication::<T>::advertise(&session).expect("advertised");
     let mut subscription = Subscription::<T>::subscribe(&session).expect("subscribed");
     let message = T::Message::new_zeroed();
+    let mut copied = T::Message::new_zeroed();
+    publication.publish(&message).expect("published");
     let bytes = size_of::<T::Message>() as u64;
 
     let mut group = criterion.benchmark_group("publish");
@@ -54,7 +56,7 @@ where
     let mut group = criterion.benchmark_group("copy");
     group.throughput(Throughput::Bytes(bytes));
     group.bench_function(BenchmarkId::from_parameter(bytes), |bencher| {
-        bencher.iter(|| black_box(subscription.copy()));
+        bencher.iter(|| subscription.copy_into(black_box(&mut copied)));
     });
     group.finish();
 
@@ -72,6 +74,7 @@ fn clock(criterion: &mut Criterion) {
 }
 
 /// A private system with a broker.
+#[derive(Debug)]
 struct Bus {
     system: System,
     base: PathBuf,

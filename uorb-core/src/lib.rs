@@ -39,6 +39,9 @@
 extern crate self as uorb_core;
 
 mod bell;
+#[cfg(all(test, loom))]
+#[allow(unsafe_code)]
+mod model_check;
 mod ring;
 mod sync;
 
@@ -87,7 +90,7 @@ pub use self::{
         Field, FieldType, FlatField, Layout, LayoutFault, MESSAGE_SIZE_MAX_BYTES, message_hash,
     },
     poll::poll,
-    protocol::{Claim, Mismatch, Refusal},
+    protocol::{Claim, Mismatch, PeerInfo, Refusal},
     publication::{AdvertiseOptions, Publication, RawPublication},
     session::Session,
     subscription::{Copied, RawSubscription, Subscription},

@@ -98,6 +98,14 @@ pub(crate) struct Taken {
     pub(crate) stamp: Stamp,
 }
 
+/// How an attempt to copy one generation ended.
+enum Read {
+    /// The message is copied, whole.
+    Whole(Stamp),
+    /// This later generation has taken its place.
+    OverwrittenBy(u64),
+}
+
 /// All slots are taken by publishes that other threads have under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Busy;
@@ -257,7 +265,7 @@ impl<'m> Ring<'m> {
     /// N or more behind the newest. There is one, because N are named, each
     /// other publisher holds one at most, and there are N + P.
     #[inline]
-    fn claim(&self, writer: &mut Writer) -> Result<(usize, &'m [AtomicU64]), Busy> {
+    pub(crate) fn claim(&self, writer: &mut Writer) -> Result<(usize, &'m [AtomicU64]), Busy> {
         writer.newest = self.newest(writer.newest.max(self.base));
         if let Some(slot) = self.try_claim(writer, writer.candidate) {
             return Ok((writer.candidate, slot));
@@ -341,36 +349,32 @@ impl<'m> Ring<'m> {
         loop {
             let oldest = newest.saturating_sub(self.geometry.queue_length as u64 - 1);
             let generation = if newest == cursor { cursor } else { oldest.max(cursor + 1) };
-            if let Some(stamp) = self.read(generation, into)? {
-                let lost = generation.saturating_sub(cursor + 1);
-                return Ok(Some(Taken { generation, lost, stamp }));
+            match self.read(generation, into)? {
+                Read::Whole(stamp) => {
+                    let lost = generation.saturating_sub(cursor + 1);
+                    return Ok(Some(Taken { generation, lost, stamp }));
+                }
+                Read::OverwrittenBy(later) => newest = self.advance(newest, later)?,
             }
-            newest = self.advance(newest)?;
         }
     }
 
-    /// The newest generation after one that could not be read. It was
-    /// overwritten, so publishers came round half the ring while we copied one
-    /// message, and the newest is another; if not, nobody overwrote it.
-    fn advance(&self, known: u64) -> Result<u64, Corrupt> {
-        match self.newest(known) {
-            newest if newest > known => Ok(newest),
-            _ => Err(Corrupt),
-        }
+    /// The newest generation, after one that `later` has overwritten: publishers
+    /// came round half the ring while we copied one message, so it is newer
+    /// than the newest we knew. If not, nobody overwrote anything.
+    #[cold]
+    fn advance(&self, known: u64, later: u64) -> Result<u64, Corrupt> {
+        if later > known { Ok(self.newest(later)) } else { Err(Corrupt) }
     }
 
-    /// Copies one generation, if it is still there. None if it is overwritten.
+    /// Copies one generation, if it is still there.
     #[inline]
-    pub(crate) fn read(
-        &self,
-        generation: u64,
-        into: &mut [MaybeUninit<u8>],
-    ) -> Result<Option<Stamp>, Corrupt> {
+    fn read(&self, generation: u64, into: &mut [MaybeUninit<u8>]) -> Result<Read, Corrupt> {
         let entry = self.order_word(generation);
         // Pairs with the commit: who sees the word sees the message.
         let before = entry.load(Ordering::Acquire);
         if generation_of(before) > generation {
-            return Ok(None);
+            return Ok(Read::OverwrittenBy(generation_of(before)));
         }
         let slot = self.slot((before & LOW_MASK) as usize).ok_or(Corrupt)?;
         if generation_of(before) < generation {
@@ -384,7 +388,14 @@ impl<'m> Ring<'m> {
         // Pairs with the release fence in `publish`: if any word came from a
         // later message in this slot, the order word has changed.
         fence(Ordering::Acquire);
-        Ok((entry.load(Ordering::Relaxed) == before).then_some(stamp))
+        let after = entry.load(Ordering::Relaxed);
+        if after == before {
+            return Ok(Read::Whole(stamp));
+        }
+        // Pairs with the commit that overwrote it: we go on from there, and
+        // must see what came before it.
+        fence(Ordering::Acquire);
+        Ok(Read::OverwrittenBy(generation_of(after)))
     }
 
     /// The stamp of the newest message, without the message.
@@ -394,10 +405,10 @@ impl<'m> Ring<'m> {
             return Ok(None);
         }
         loop {
-            if let Some(stamp) = self.read(newest, &mut [])? {
-                return Ok(Some(stamp));
+            match self.read(newest, &mut [])? {
+                Read::Whole(stamp) => return Ok(Some(stamp)),
+                Read::OverwrittenBy(later) => newest = self.advance(newest, later)?,
             }
-            newest = self.advance(newest)?;
         }
     }
 

@@ -31,8 +31,8 @@ use nix::sys::signal::{SigSet, SigmaskHow, pthread_sigmask};
 use crate::error::Error;
 use crate::node::{Node, Role};
 use crate::protocol::{
-    Advertise, Claim, FromBroker, Join, PROCESS_NAME_MAX_BYTES, PROTOCOL_VERSION, Refusal, Rejoin,
-    Reply, Request, Subject, Subscribe, ToBroker, decode, encode,
+    Advertise, Claim, FromBroker, Join, PROCESS_NAME_MAX_BYTES, PROTOCOL_VERSION, PeerInfo,
+    Refusal, Rejoin, Reply, Request, Subject, Subscribe, ToBroker, decode, encode,
 };
 use crate::system::System;
 use crate::topic::{Instance, Metadata};
@@ -356,6 +356,19 @@ impl Session {
         let node = Arc::new(node);
         state.nodes.insert(key, Arc::downgrade(&node));
         Ok(node)
+    }
+
+    /// The process that the broker knows by this number: the sender of a
+    /// message, for one (see [`crate::Copied::peer`]). None where it has ended.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoBroker`] and [`Error::NoAnswer`] where nobody can say.
+    pub fn process(&self, peer: u16) -> Result<Option<PeerInfo>, Error> {
+        match self.ask(Request::Peers)? {
+            Reply::Peers(peers) => Ok(peers.into_iter().find(|process| process.peer == peer)),
+            reply => Err(unexpected(reply)),
+        }
     }
 
     /// The description of a topic that exists, from any of its nodes.

@@ -26,6 +26,8 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
+use zerocopy::IntoBytes;
+
 use crate::clock::now_us;
 use crate::descriptor::Descriptor;
 use crate::error::Error;
@@ -176,10 +178,10 @@ impl RawSubscription {
         let size_bytes = node.identity.metadata.layout.size_bytes as usize;
         message.clear();
         message.reserve(size_bytes);
-        if !self.copy_into(&mut message.spare_capacity_mut()[..size_bytes]) {
+        if !self.take_into(&mut message.spare_capacity_mut()[..size_bytes]) {
             return false;
         }
-        // SAFETY: `copy_into` said that it has written this many bytes.
+        // SAFETY: `take_into` said that it has written this many bytes.
         unsafe { message.set_len(size_bytes) };
         true
     }
@@ -187,7 +189,7 @@ impl RawSubscription {
     /// Copies the next message into a buffer of the layout's size. True means
     /// that all of it was written.
     #[inline]
-    fn copy_into(&mut self, into: &mut [MaybeUninit<u8>]) -> bool {
+    fn take_into(&mut self, into: &mut [MaybeUninit<u8>]) -> bool {
         let Some(node) = &self.node else { return false };
         let taken = match node.take(self.cursor, into) {
             Ok(Some(taken)) => taken,
@@ -447,12 +449,24 @@ impl<T: Topic> Subscription<T> {
                 size_of::<T::Message>(),
             )
         };
-        if !self.raw.copy_into(into) {
+        if !self.raw.take_into(into) {
             return None;
         }
-        // SAFETY: `copy_into` said that it has written every byte, and
+        // SAFETY: `take_into` said that it has written every byte, and
         // `FromBytes` says that any bytes are a message.
         Some(unsafe { message.assume_init() })
+    }
+
+    /// As [`Subscription::copy`], into a message that is there already: for
+    /// large ones, which Rust would otherwise move once or twice. False if
+    /// nothing was ever published.
+    #[inline]
+    pub fn copy_into(&mut self, message: &mut T::Message) -> bool {
+        let bytes = message.as_mut_bytes();
+        // SAFETY: initialised bytes are seen as ones that need not be, and
+        // `take_into` writes nothing else but bytes.
+        let into = unsafe { &mut *(std::ptr::from_mut(bytes) as *mut [MaybeUninit<u8>]) };
+        self.raw.take_into(into)
     }
 
     /// Copies the next message if there is anything new.

@@ -46,13 +46,13 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
     make_ours(system.base())?;
     make_ours(&system.dir())?;
     refuse_strangers(system)?;
-    let Some(mut lock) = take_lock(system)? else { return Ok(Found::Running) };
+    let Some(lock) = take_lock(system)? else { return Ok(Found::Running) };
 
     let now = |system_id| -> anyhow::Result<Inscription> {
         Ok(Inscription { version: NODE_FILE_VERSION, boot_id: boot_id()?, system_id })
     };
     let living = living(system)?;
-    let before = Inscription::read(&mut lock);
+    let before = Inscription::read(&lock);
     if let Some(before) = before
         && !living.is_empty()
         && before.boot_id == boot_id()?
@@ -75,7 +75,7 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
         make_ours(&dir)?;
     }
     let inscription = now(random()?)?;
-    inscription.write(&mut lock).with_context(|| format!("cannot write {}", lock_name(system)))?;
+    inscription.write(&lock).with_context(|| format!("cannot write {}", lock_name(system)))?;
     Ok(Found::Ours { lock, system_id: inscription.system_id, living: Vec::new() })
 }
 
@@ -272,16 +272,16 @@ fn lock_name(system: &System) -> String {
 
 impl Inscription {
     /// Three numbers in words, for people too.
-    fn write(&self, lock: &mut File) -> io::Result<()> {
+    fn write(&self, mut lock: &File) -> io::Result<()> {
         lock.set_len(0)?;
         lock.rewind()?;
         let boot = u128::from_be_bytes(self.boot_id);
         write!(lock, "version {}\nboot {boot:032x}\nsystem {:016x}\n", self.version, self.system_id)
     }
 
-    /// Reads it through the descriptor that holds the lock: to open the file
-    /// once more and close it again would let the lock go (fcntl(2)).
-    fn read(lock: &mut File) -> Option<Self> {
+    /// From the descriptor that holds the lock: opening the file again and
+    /// closing it would let go of it.
+    fn read(mut lock: &File) -> Option<Self> {
         let mut text = String::new();
         lock.read_to_string(&mut text).ok()?;
         let value = |name: &str| text.lines().find_map(|line| line.strip_prefix(name));

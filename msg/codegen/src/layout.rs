@@ -158,10 +158,11 @@ fn fault(message: &Message, layout: &Layout, largest: &Field) -> Option<Fault> {
 }
 
 /// PX4's message hash: FNV-1a over one line a field, `float32[3] xyz`, in the
-/// order of the text, a nested message's line followed by its own.
+/// order of the text, a nested message's line followed by its own. Types stand
+/// as they are written there, so `EscReport` and `esc_report` hash differently.
 fn hash_fields(mut hash: u32, message: &Message, messages: &Messages) -> u32 {
     for field in &message.fields {
-        let name = messages.type_name(field);
+        let name = &field.written_type;
         let line = match field.array_length {
             Some(length) => format!("{name}[{length}] {}\n", field.name),
             None => format!("{name} {}\n", field.name),
@@ -259,6 +260,18 @@ mod tests {
             assert_eq!(layout.size_bytes, size_bytes, "{text}");
             assert_eq!(layout.size_no_padding_bytes, size_no_padding_bytes, "{text}");
         }
+    }
+
+    #[test]
+    fn a_nested_type_is_hashed_as_it_is_written() {
+        let report = ("EscReport", "uint64 timestamp\nint32 rpm");
+        let hash = |text| {
+            let (messages, layouts) = laid_out(&[("m", text), report]);
+            layouts[messages.list.iter().position(|one| one.name == "m").unwrap()].message_hash
+        };
+        assert_eq!(hash("EscReport[2] esc"), 0x3ef4_dcb0);
+        assert_eq!(hash("px4/EscReport[2] esc"), 0x3ef4_dcb0);
+        assert_ne!(hash("esc_report[2] esc"), 0x3ef4_dcb0);
     }
 
     /// The text of a message with any fields; `nested` can be one's type.

@@ -37,6 +37,9 @@ pub(crate) struct Message {
 pub(crate) struct Field {
     pub(crate) name: String,
     pub(crate) ty: Type,
+    /// The type as the text has it, without a package: `EscReport`. PX4 hashes
+    /// that.
+    pub(crate) written_type: String,
     pub(crate) array_length: Option<u32>,
     pub(crate) comment: Comment,
     pub(crate) line: u32,
@@ -199,8 +202,8 @@ fn resolve_field(
         notes.fault(field.line, format!("unknown type `{type_name}`{}", hint(type_name, places)));
         return None;
     };
-    let FieldLine { name, array_length, comment, line, .. } = field;
-    Some(Field { name, ty, array_length, comment, line })
+    let FieldLine { name, type_name: written_type, array_length, comment, line, .. } = field;
+    Some(Field { name, ty, written_type, array_length, comment, line })
 }
 
 /// What to write instead of a type that does not exist.
@@ -242,7 +245,9 @@ fn insert_timestamp(fields: &mut Vec<Field>, notes: &mut Notes) {
             let lines = vec!["Time since the system started.".to_string()];
             let comment = Comment { lines, unit: "us".to_string(), ..Comment::default() };
             let name = "timestamp".to_string();
-            fields.insert(0, Field { name, ty, array_length: None, comment, line: 1 });
+            let written_type = "uint64".to_string();
+            fields
+                .insert(0, Field { name, ty, written_type, array_length: None, comment, line: 1 });
         }
     }
 }

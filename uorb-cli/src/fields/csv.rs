@@ -60,7 +60,7 @@ fn push_cells(row: &mut Vec<String>, part: Part<'_>) {
     }
 }
 
-fn scalar_text(scalar: Scalar) -> String {
+pub(super) fn scalar_text(scalar: Scalar) -> String {
     match scalar {
         Scalar::Bool(value) => u8::from(value).to_string(),
         Scalar::Float32(value) if !value.is_finite() => value.to_string().to_lowercase(),

@@ -238,11 +238,10 @@ impl ::uorb_core::Message for DockStatus {
             ),
         ];
         assert!(::core::mem::size_of::<DockStatus>() == 120);
-        assert!(::uorb_core::message_hash(FIELDS) == 0x87286f51);
         &::uorb_core::Layout {
             name: ::std::borrow::Cow::Borrowed("dock_status"),
             size_bytes: 120,
-            message_hash: 0x87286f51,
+            message_hash: 0x48f54b20,
             fields: ::std::borrow::Cow::Borrowed(FIELDS),
         }
     };

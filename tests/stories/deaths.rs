@@ -1,0 +1,242 @@
+use std::time::Duration;
+
+use nix::sys::signal::Signal;
+use uorb_core::broker_side::{Node, Role};
+use uorb_core::{
+    AdvertiseOptions, Error, Instance, Priority, Publication, QueueLength, Session, poll,
+};
+use uorb_tests::{Bus, PATIENCE, Plain, Stamped, eventually, instance};
+
+fn claimed(bus: &Bus, priority: &str) -> (uorb_tests::Actor, String) {
+    let mut actor = bus.spawn(&["claim", priority]);
+    actor.expect("ready");
+    actor.say("go");
+    let line = actor.line().expect("an instance");
+    (actor, line)
+}
+
+#[test]
+fn a_killed_publisher_is_unadvertised_and_its_restart_gets_its_instance_again() {
+    let mut bus = Bus::start();
+    let (_first, _) = claimed(&bus, "100");
+    let (mut victim, line) = claimed(&bus, "75");
+    let (_third, _) = claimed(&bus, "50");
+    assert_eq!(line, "instance 1");
+    victim.say("41");
+    victim.expect("published");
+
+    victim.kill();
+
+    let session = bus.session();
+    eventually("the topic is unadvertised", || !session.exists("stamped", instance(1)).unwrap());
+    let mut late = bus.subscribe_instance::<Stamped>(1);
+    assert_eq!(late.update(), Some(Stamped::new(41, victim.pid().into())), "readable for ever");
+    let (mut restarted, line) = claimed(&bus, "75");
+    assert_eq!(line, "instance 1");
+    assert!(!late.updated(), "being advertised again is nothing new");
+    restarted.say("42");
+    restarted.expect("published");
+    assert_eq!(late.update().unwrap().count, 42);
+}
+
+#[test]
+fn a_killed_publisher_is_noticed_while_its_forked_child_lives() {
+    let mut bus = Bus::start();
+    let mut parent = bus.spawn(&["fork-and-hold"]);
+    parent.expect("child true true true true true");
+    let child: i32 = parent.line().unwrap().parse().unwrap();
+    assert!(bus.is_advertised("stamped"));
+
+    parent.kill();
+
+    eventually("the topic is unadvertised", || !bus.is_advertised("stamped"));
+    let child = nix::unistd::Pid::from_raw(child);
+    nix::sys::signal::kill(child, Signal::SIGKILL).expect("the child outlived its parent");
+}
+
+#[test]
+fn a_broker_that_is_killed_under_load_costs_no_message() {
+    const MESSAGES: u32 = 2_000;
+    let mut bus = Bus::start();
+    let queue_length = QueueLength::new(16);
+    let options = AdvertiseOptions { queue_length, ..AdvertiseOptions::default() };
+    let mut publication = Publication::<Plain>::advertise_with(&bus.session(), options).unwrap();
+    let mut subscription = bus.subscribe::<Plain>();
+    let (mut first, _) = claimed(&bus, "100");
+    let (_second, _) = claimed(&bus, "50");
+    let before = counts(&bus);
+
+    // The publisher waits for the subscriber every 16 messages, so that nothing
+    // may be lost; the broker is killed and started again in between.
+    let (acknowledge, acknowledged) = std::sync::mpsc::channel();
+    let publisher = std::thread::spawn(move || {
+        for value in 1..=MESSAGES {
+            publication.publish(&Plain { value }).unwrap();
+            if value % 16 == 0 {
+                acknowledged.recv_timeout(PATIENCE).unwrap();
+            }
+        }
+        publication
+    });
+    for expected in 1..=MESSAGES {
+        if expected % 500 == 0 {
+            bus.kill_broker();
+        }
+        if expected % 500 == 100 && expected > 500 {
+            bus.start_broker();
+        }
+        assert_eq!(poll(&mut [&mut subscription], Some(PATIENCE)).unwrap(), 1);
+        assert_eq!(subscription.update(), Some(Plain { value: expected }));
+        if expected % 16 == 0 {
+            acknowledge.send(()).unwrap();
+        }
+    }
+    let publication = publisher.join().unwrap();
+    assert_eq!(subscription.lost(), 0);
+    bus.start_broker();
+
+    eventually("everybody has re-joined", || counts(&bus) == before);
+    first.say("7");
+    first.expect("published");
+    let (_third, line) = claimed(&bus, "75");
+    assert_eq!(line, "instance 2", "no instance was given away");
+    drop(publication);
+    assert!(!bus.is_advertised("plain"), "what was advertised before can be unadvertised after");
+}
+
+/// Publishers, priorities and subscribers of every node.
+fn counts(bus: &Bus) -> Vec<(String, Instance, Vec<(u16, Priority)>, u64)> {
+    let nodes = bus.system.list_nodes().unwrap().into_iter();
+    nodes
+        .map(|(topic, instance)| {
+            let status =
+                Node::open(&bus.system, &topic, instance, Role::Observer).unwrap().status();
+            let publishers = status.publishers.iter().map(|p| (p.peer, p.priority)).collect();
+            (topic, instance, publishers, status.subscribers)
+        })
+        .collect()
+}
+
+#[test]
+fn a_publisher_that_died_while_no_broker_ran_is_found_by_the_next() {
+    let mut bus = Bus::start();
+    let _keeps_the_system = bus.subscribe::<Plain>();
+    let (mut victim, _) = claimed(&bus, "75");
+    bus.kill_broker();
+    victim.kill();
+    assert!(bus.is_advertised("stamped"), "nobody could know yet");
+
+    bus.start_broker();
+
+    assert!(!bus.is_advertised("stamped"));
+    let (_next, line) = claimed(&bus, "75");
+    assert_eq!(line, "instance 0");
+}
+
+#[test]
+fn a_stopped_process_keeps_its_instance_over_a_broker_s_restart() {
+    let mut bus = Bus::start();
+    let (mut sleeper, _) = claimed(&bus, "75");
+    sleeper.signal(Signal::SIGSTOP);
+    bus.kill_broker();
+    bus.start_broker();
+
+    let (_other, line) = claimed(&bus, "75");
+
+    assert_eq!(line, "instance 1", "claims are served at once, and not at the sleeper's cost");
+    sleeper.signal(Signal::SIGCONT);
+    sleeper.say("7");
+    sleeper.expect("published");
+}
+
+#[test]
+fn requests_wait_for_the_next_broker() {
+    let mut bus = Bus::start();
+    let session = bus.session();
+    bus.kill_broker();
+    let asker = std::thread::spawn(move || Publication::<Plain>::advertise(&session));
+    bus.start_broker();
+    // The system is another, since nobody held anything of the old one but us:
+    // and we do live, so it is the same.
+    asker.join().unwrap().unwrap();
+}
+
+#[test]
+fn without_a_broker_the_error_says_where_it_was_looked_for_and_what_to_do() {
+    let bus = Bus::without_broker();
+    let error = Session::connect_to(&bus.system).unwrap_err();
+    assert!(matches!(error, Error::NoBroker { .. }));
+    let text = error.to_string();
+    assert!(text.contains("broker.sock") && text.contains("uorb start"), "{text}");
+}
+
+#[test]
+fn when_the_system_ends_every_handle_says_so_and_what_was_published_can_be_copied() {
+    let mut bus = Bus::start();
+    let mut publication = bus.advertise::<Plain>();
+    publication.publish(&Plain { value: 5 }).unwrap();
+    let mut reader = bus.subscribe::<Plain>();
+    let mut sleeper = bus.subscribe::<Plain>();
+    let mut waiting = bus.subscribe_by_name("never_described");
+    sleeper.copy();
+    let asleep = std::thread::spawn(move || {
+        let first = poll(&mut [&mut sleeper], None).map(|_| ());
+        let second = poll(&mut [&mut waiting], None).map(|_| ());
+        [first, second]
+    });
+
+    bus.stop();
+
+    for ended in asleep.join().unwrap() {
+        assert!(matches!(ended, Err(Error::Ended { .. })), "{ended:?}");
+    }
+    assert!(matches!(publication.publish(&Plain { value: 6 }), Err(Error::Ended { .. })));
+    assert_eq!(poll(&mut [&mut reader], None).unwrap(), 1, "first what there is");
+    assert_eq!(reader.update(), Some(Plain { value: 5 }));
+    assert!(matches!(poll(&mut [&mut reader], None), Err(Error::Ended { .. })));
+    let session = bus.session();
+    eventually("the session knows", || session.has_ended());
+    assert!(matches!(Publication::<Plain>::advertise(&session), Err(Error::Ended { .. })));
+    assert!(!bus.system.dir().exists());
+}
+
+#[test]
+fn a_second_broker_leaves_the_system_to_the_first() {
+    let mut bus = Bus::start();
+    let _publication = bus.advertise::<Plain>();
+    let (mut second, line) = bus.try_start_broker();
+    assert_eq!(line, "running");
+    assert!(second.wait().unwrap().success());
+    assert!(bus.is_advertised("plain"));
+}
+
+#[test]
+fn of_many_brokers_that_start_at_once_one_runs() {
+    let mut bus = Bus::without_broker();
+    let mut started: Vec<_> = std::thread::scope(|scope| {
+        let starting: Vec<_> = (0..6).map(|_| scope.spawn(|| bus.try_start_broker())).collect();
+        starting.into_iter().map(|start| start.join().unwrap()).collect()
+    });
+    let ready = started.iter().position(|(_, line)| line == "ready").expect("one runs");
+    let (broker, _) = started.remove(ready);
+    for (mut other, line) in started {
+        assert_eq!(line, "running");
+        assert!(other.wait().unwrap().success());
+    }
+    assert!(Session::connect_to(&bus.system).is_ok());
+    bus.adopt_broker(broker);
+    bus.stop();
+}
+
+#[test]
+fn a_process_that_sleeps_through_its_publisher_s_death_is_woken_by_the_next() {
+    let mut bus = Bus::start();
+    let (mut victim, _) = claimed(&bus, "75");
+    let mut sleeper = bus.subscribe::<Stamped>();
+    assert_eq!(poll(&mut [&mut sleeper], Some(Duration::from_millis(1))).unwrap(), 0);
+    victim.kill();
+    let mut publication = bus.advertise::<Stamped>();
+    let woken = std::thread::spawn(move || poll(&mut [&mut sleeper], Some(PATIENCE)).unwrap());
+    publication.publish(&Stamped::new(1, 1)).unwrap();
+    assert_eq!(woken.join().unwrap(), 1);
+}
