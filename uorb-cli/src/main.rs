@@ -16,10 +16,12 @@ mod man;
 mod nearest;
 mod print;
 mod publish;
+mod replay;
 mod start;
 mod status;
 mod stop;
 mod test;
+mod top;
 mod topics;
 
 use std::io::{self, BufWriter, Write};
@@ -59,10 +61,12 @@ enum Command {
     Start(start::Args),
     Stop(stop::Args),
     Status(status::Args),
+    Top(top::Args),
     Listener(listener::Args),
     Ls(ls::Args),
     Info(info::Args),
     Pub(publish::Args),
+    Replay(replay::Args),
     Test(test::Args),
     Completions(completions::Args),
     Man(man::Args),
@@ -101,6 +105,7 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Start(args) => start::run(args, &context),
         Command::Stop(args) => stop::run(args, &context),
         Command::Status(args) => status::run(args, &context, out),
+        Command::Top(args) => top::run(args, &context, out),
         Command::Listener(args) => listener::run(args, &context, out),
         Command::Info(args) => info::run(args, &context, out),
         Command::Pub(args) => publish::run(args, &context),
@@ -108,6 +113,7 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Completions(args) => completions::run(args, out),
         Command::Man(args) => man::run(args, Cli::command(), out),
         Command::Ls(args) => ls::run(args, &context, out),
+        Command::Replay(args) => replay::run(args, &context, out),
     }
 }
 
