@@ -25,7 +25,7 @@ use uorb_core::{
 };
 
 use self::contents::Contents;
-use self::log::{Ending, Message, Series, Told, read};
+use self::log::{Ending, Fault, Message, Series, Told, read};
 use self::pace::Speed;
 use self::record::Source;
 use crate::context::Context;
@@ -117,7 +117,10 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
         replay.close(start.elapsed(), is_interrupted, out)?;
         out.flush()?;
     }
-    ended?;
+    ended.map_err(|error| match error.is::<Fault>() {
+        true => error.context(file.to_string()),
+        false => error,
+    })?;
     match contents.ending {
         Ok(Ending::Whole) => Ok(()),
         Ok(Ending::CutOff { at_byte }) => {
@@ -227,7 +230,7 @@ struct Replay<'a> {
 
 impl Replay<'_> {
     fn publish_all(&mut self, source: &mut dyn Source, start: Instant) -> anyhow::Result<()> {
-        let interrupt = Interrupt::catch()?;
+        let interrupt = Interrupt::catch().context("cannot catch Ctrl-C")?;
         let skip_us = u64::try_from(self.args.start.as_micros()).unwrap_or(u64::MAX);
         let mut clock = self.contents.clock();
         let mut numbers = 0..;
@@ -242,7 +245,7 @@ impl Replay<'_> {
                 bail!(Early::Interrupted);
             }
             if let Some(due) = self.args.speed.due(start, position_us - skip_us)
-                && interrupt.wait_until(due)?
+                && interrupt.wait_until(due).context("cannot wait for the next message")?
             {
                 bail!(Early::Interrupted);
             }
