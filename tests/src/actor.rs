@@ -3,17 +3,20 @@
 //! The story speaks to it by lines too: `go` starts what waits, the end of the
 //! input ends it. An actor dies with the test that spawned it.
 
-use std::io::{BufRead, stdin};
+use std::alloc::{GlobalAlloc, Layout, System as SystemAllocator};
+use std::io::{BufRead, BufReader, stdin};
 use std::os::fd::AsFd;
-use std::process::ExitCode;
+use std::process::{Command, ExitCode, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{
-    AdvertiseOptions, Claim, Error, Instance, Priority, Publication, QueueLength, RawSubscription,
-    Session, Subscription, poll, topic,
+    AdvertiseOptions, Claim, Error, Instance, Layout as MessageLayout, Metadata, Priority,
+    Publication, QueueLength, RawPublication, RawSubscription, Session, Subscription, System, poll,
+    topic,
 };
-use uorb_tests::Stamped;
+use uorb_tests::{Stamped, program};
 
 fn main() -> ExitCode {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
@@ -28,6 +31,8 @@ fn main() -> ExitCode {
         ["hold-other-layout"] => hold_other_layout(),
         ["follow-name", topic] => follow_name(topic),
         ["fork-and-hold"] => fork_and_hold(),
+        ["hot-path"] => hot_path(),
+        ["fill-small-memory"] => fill_small_memory(),
         other => panic!("no such actor: {other:?}"),
     };
     match done {
@@ -208,5 +213,107 @@ fn fork_and_hold() -> Result<(), Error> {
         println!("{}", std::process::id());
     }
     heard();
+    Ok(())
+}
+
+/// Counts what is allocated, for `hot-path`.
+struct CountingAllocator;
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+// SAFETY: everything is left to the system's allocator.
+#[allow(unsafe_code)]
+unsafe impl GlobalAlloc for CountingAllocator {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: as the caller promises.
+        unsafe { SystemAllocator.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { SystemAllocator.dealloc(memory, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+/// Publishes, looks and copies between two marks that a tracer can see: two
+/// calls of getppid(2). Says how much it allocated in between.
+fn hot_path() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Publication::<Stamped>::advertise(&session)?;
+    let mut subscription = Subscription::<Stamped>::subscribe(&session)?;
+    let mut message = Stamped::new(0, 0);
+    let mut round = |count: u64| -> Result<(), Error> {
+        stamped.publish(&Stamped::new(count, 1))?;
+        assert!(subscription.updated() && subscription.copy_into(&mut message));
+        assert!(!subscription.updated() && subscription.copy().is_some());
+        Ok(())
+    };
+    round(0)?;
+    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    nix::unistd::getppid();
+    for count in 1..=1_000 {
+        round(count)?;
+    }
+    nix::unistd::getppid();
+    println!("allocations {}", ALLOCATIONS.load(Ordering::Relaxed) - before);
+    Ok(())
+}
+
+/// In a mount namespace of its own, with 64 MiB of memory for the bus: makes
+/// topics until they do not fit, and publishes on all that did.
+fn fill_small_memory() -> Result<(), Error> {
+    use nix::mount::{MsFlags, mount};
+    use nix::sched::{CloneFlags, unshare};
+    let system = System::from_env()?;
+    let none: Option<&str> = None;
+    let private = unshare(CloneFlags::CLONE_NEWNS)
+        .and_then(|()| mount(none, "/", none, MsFlags::MS_REC | MsFlags::MS_PRIVATE, none))
+        .and_then(|()| {
+            mount(Some("tmpfs"), system.base(), Some("tmpfs"), MsFlags::empty(), Some("size=64m"))
+        });
+    if let Err(errno) = private {
+        println!("skipped: no mount namespace can be made here: {errno}");
+        return Ok(());
+    }
+    let mut broker = Command::new(program("uorbd"))
+        .args(["--ready-fd", "1"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("uorbd starts");
+    let mut line = String::new();
+    let stdout = broker.stdout.as_mut().expect("piped");
+    BufReader::new(stdout).read_line(&mut line).expect("a line");
+    assert_eq!(line, "ready\n");
+
+    let session = Session::connect()?;
+    let mut publications = Vec::new();
+    let refused = loop {
+        let name = format!("large{}", publications.len());
+        let metadata = Metadata {
+            layout: std::borrow::Cow::Owned(MessageLayout::untyped(name.clone(), 65_528)),
+            name: name.into(),
+            queue_length: QueueLength::ONE,
+        };
+        match RawPublication::advertise(&session, &metadata, AdvertiseOptions::default()) {
+            Ok(publication) => publications.push(publication),
+            Err(error) => break error,
+        }
+    };
+    println!("{refused}");
+    for publication in &mut publications {
+        for _ in 0..100 {
+            publication.publish(&[7; 65_528])?;
+        }
+    }
+    // What did not fit has left nothing behind, and a small topic still fits.
+    let unfinished = std::fs::read_dir(system.unfinished()).expect("it is there").count();
+    drop(Publication::<Stamped>::advertise(&session));
+    println!("{} topics, {unfinished} unfinished", publications.len());
+    broker.kill().expect("it can be killed");
+    broker.wait().expect("it is our child");
     Ok(())
 }

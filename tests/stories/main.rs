@@ -8,9 +8,13 @@ mod crowds;
 mod deaths;
 /// A subscription is a file descriptor: poll(2), epoll, tokio, intervals.
 mod descriptors;
+/// What publish and copy never do.
+mod hot_path;
 /// Instances: who gets which.
 mod instances;
 /// Layouts that do not match, topics that nobody has described yet.
 mod layouts;
+/// A node does what a model of it in plain Rust does.
+mod model;
 /// Directories, limits and leftovers.
 mod places;

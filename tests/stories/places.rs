@@ -127,3 +127,20 @@ fn a_node_file_that_is_garbage_or_cut_off_is_named_as_such() {
         assert!(error.to_string().contains("other0"), "{error}");
     }
 }
+
+#[test]
+fn when_shared_memory_is_full_the_error_has_the_sum_and_nothing_dies() {
+    let bus = Bus::without_broker();
+    let mut actor = bus.spawn(&["fill-small-memory"]);
+    let line = actor.line().expect("it says what happened");
+    if line.starts_with("skipped") {
+        eprintln!("{line}");
+        return;
+    }
+    assert!(line.contains("large") && line.contains("bytes; free some"), "{line}");
+    let line = actor.finish().pop().expect("it publishes on");
+    let topics: u32 = line.split(' ').next().unwrap().parse().unwrap();
+    // Each takes twenty slots of 64 KiB.
+    assert!((45..=51).contains(&topics), "64 MiB hold {line}");
+    assert!(line.ends_with(" 0 unfinished"), "{line}");
+}

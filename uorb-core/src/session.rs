@@ -615,8 +615,9 @@ fn exchange(
     buffer: &mut Vec<u8>,
 ) -> Result<Reply, Error> {
     let path = system.socket();
+    // A broker that was killed meanwhile is none.
     send_packet(socket, &encode(&ToBroker { number: 0, request }))
-        .map_err(|error| Error::io("write to", &path, error))?;
+        .map_err(|error| no_broker(system, error))?;
     let seconds = ANSWER_TIMEOUT.as_secs();
     loop {
         let mut ready = [PollFd::new(socket.as_fd(), PollFlags::POLLIN)];
@@ -626,8 +627,7 @@ fn exchange(
             Err(Errno::EINTR) => continue,
             _ => {}
         }
-        let packet =
-            receive_packet(socket, buffer).map_err(|error| Error::io("read", &path, error))?;
+        let packet = receive_packet(socket, buffer).map_err(|error| no_broker(system, error))?;
         match decode(packet) {
             Some(FromBroker::Reply { reply, .. }) => return Ok(reply),
             Some(FromBroker::Ended) => return Err(Refusal::OtherSystem.into()),
@@ -688,7 +688,10 @@ fn spawn_quiet(shared: Arc<Shared>) -> io::Result<JoinHandle<()>> {
 fn no_broker(system: &System, error: io::Error) -> Error {
     let path = system.socket();
     match error.kind() {
-        io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => Error::NoBroker { path },
+        io::ErrorKind::NotFound
+        | io::ErrorKind::ConnectionRefused
+        | io::ErrorKind::ConnectionReset
+        | io::ErrorKind::BrokenPipe => Error::NoBroker { path },
         _ => Error::io("connect to", &path, error),
     }
 }

@@ -270,7 +270,9 @@ impl RawSubscription {
         if let Some(descriptor) = self.descriptor.get() {
             return Ok(descriptor);
         }
-        let made = Descriptor::new(self.node.as_deref(), self.waiting.as_deref())?;
+        let made = Descriptor::new(self.node.as_deref(), self.waiting.as_deref());
+        // The bell goes with its system: then that is what there is to say.
+        let made = made.or_else(|error| self.check().and(Err(error)))?;
         Ok(self.descriptor.get_or_init(|| made))
     }
 
