@@ -230,7 +230,7 @@ struct Replay<'a> {
 
 impl Replay<'_> {
     fn publish_all(&mut self, source: &mut dyn Source, start: Instant) -> anyhow::Result<()> {
-        let interrupt = Interrupt::catch().context("cannot catch Ctrl-C")?;
+        let interrupt = Interrupt::catch()?;
         let skip_us = u64::try_from(self.args.start.as_micros()).unwrap_or(u64::MAX);
         let mut clock = self.contents.clock();
         let mut numbers = 0..;
@@ -245,7 +245,7 @@ impl Replay<'_> {
                 bail!(Early::Interrupted);
             }
             if let Some(due) = self.args.speed.due(start, position_us - skip_us)
-                && interrupt.wait_until(due).context("cannot wait for the next message")?
+                && interrupt.wait_until(due)?
             {
                 bail!(Early::Interrupted);
             }

@@ -13,7 +13,7 @@ mod text;
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, bail};
+use anyhow::bail;
 use clap_complete::engine::ArgValueCandidates;
 use uorb_core::Error;
 
@@ -83,12 +83,12 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
         return screen::show(&mut nodes, selection);
     }
 
-    let interrupt = Interrupt::catch().context("cannot catch Ctrl-C")?;
+    let interrupt = Interrupt::catch()?;
     let mut next = Instant::now();
     let mut before = nodes.look()?;
     for number in 0_u64.. {
         next += INTERVAL;
-        if interrupt.wait_until(Some(next)).context("cannot wait")? {
+        if interrupt.wait_until(Some(next))? {
             // That is how one ends it, where it does not end by itself.
             return if args.once { bail!(Early::Interrupted) } else { Ok(()) };
         }
