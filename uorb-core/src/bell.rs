@@ -29,12 +29,12 @@ pub(crate) fn ask(asked: &AtomicU64) {
 }
 
 /// After a commit: rings if somebody has asked since the bell was last rung.
+/// `ring` says whether it has.
 #[inline]
-pub(crate) fn ring_if_asked(asked: &AtomicU64, rung: &AtomicU64, ring: impl FnOnce()) {
+pub(crate) fn ring_if_asked(asked: &AtomicU64, rung: &AtomicU64, ring: impl FnOnce() -> bool) {
     loom_fence();
     let asked = asked.load(Ordering::SeqCst);
-    if asked != rung.load(Ordering::Relaxed) {
-        ring();
+    if asked != rung.load(Ordering::Relaxed) && ring() {
         // Two publishers may store in either order. The older number makes the
         // next publish ring once too often.
         rung.store(asked, Ordering::SeqCst);
@@ -60,12 +60,18 @@ mod fifo {
     use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
     use std::path::Path;
 
-    /// What a FIFO holds: two pages, since rings are drained only when it is
-    /// full and a page is allocated for every 4,096 of them.
+    use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+    /// What a FIFO is to hold: rings are drained only when it is full, and a
+    /// page is allocated for each that it takes. The kernel rounds up to pages.
     const CAPACITY_BYTES: libc::c_int = 8_192;
 
-    /// How much is read from a full FIFO to make room.
+    /// How much is read from a full FIFO at a time.
     const DRAIN_BYTES: usize = 4_096;
+
+    /// How often. The kernel makes room by whole pages, of up to 64 KiB; the
+    /// rest is for other publishers that fill it meanwhile.
+    const DRAINS_MAX: usize = 64;
 
     /// A process's open end of a node's bell.
     #[derive(Debug)]
@@ -89,25 +95,34 @@ mod fifo {
             // A smaller buffer saves memory, a larger one works as well.
             let _ = nix::fcntl::fcntl(&fifo, nix::fcntl::FcntlArg::F_SETPIPE_SZ(CAPACITY_BYTES));
             let bell = Self { fifo };
-            bell.ring();
+            // One that has a byte is left in peace: it would wake all sleepers.
+            if !bell.is_readable() {
+                bell.ring();
+            }
             Ok(bell)
         }
 
-        /// Wakes every subscription that sleeps on the node.
+        fn is_readable(&self) -> bool {
+            let mut ready = [PollFd::new(self.fifo.as_fd(), PollFlags::POLLIN)];
+            poll(&mut ready, PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
+        }
+
+        /// Wakes every subscription that sleeps on the node. Whether it did.
         ///
-        /// A FIFO that is full, after some 8,000 rings, is drained by half and
-        /// written again: the byte written last is what wakes. That it fails in
-        /// any other way would take a descriptor that is not a FIFO.
-        pub(crate) fn ring(&self) {
-            for _ in 0..3 {
+        /// A FIFO that is full, after some 8,000 rings, is drained and written
+        /// again: the byte written last is what wakes.
+        pub(crate) fn ring(&self) -> bool {
+            for _ in 0..DRAINS_MAX {
                 match (&self.fifo).write(&[0]) {
+                    Ok(_) => return true,
                     Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                         let _ = (&self.fifo).read(&mut [0; DRAIN_BYTES]);
                     }
                     Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                    _ => return,
+                    Err(_) => return false,
                 }
             }
+            false
         }
     }
 

@@ -11,9 +11,11 @@
 //! is an allegation until [`Layout::check`] has passed.
 
 use std::borrow::Cow;
+use std::cell::Cell;
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::message_hash::text;
 
@@ -73,7 +75,21 @@ pub enum FieldType {
     Float64,
     Bool,
     Char,
-    Message(Cow<'static, Layout>),
+    Message(#[serde(deserialize_with = "nested_layout")] Cow<'static, Layout>),
+}
+
+/// A layout within a layout, to the depth that [`Layout::check`] allows: what
+/// another process has packed deeper would overflow the stack first.
+fn nested_layout<'de, D: Deserializer<'de>>(source: D) -> Result<Cow<'static, Layout>, D::Error> {
+    thread_local!(static DEPTH: Cell<usize> = const { Cell::new(0) });
+    let depth = DEPTH.get();
+    if depth >= NESTING_MAX {
+        return Err(D::Error::custom("messages nest too deep"));
+    }
+    DEPTH.set(depth + 1);
+    let layout = Layout::deserialize(source);
+    DEPTH.set(depth);
+    layout.map(Cow::Owned)
 }
 
 impl FieldType {

@@ -110,7 +110,7 @@ pub use self::{
 #[cfg(not(loom))]
 #[doc(hidden)]
 pub mod broker_side {
-    pub use crate::node::{Node, NodeStatus, PublisherEntry, Role, base_of};
+    pub use crate::node::{Ending, Node, NodeStatus, PublisherEntry, Role, base_of};
     pub use crate::node_file::{Identity, NODE_FILE_VERSION, boot_id};
     pub use crate::protocol::*;
     pub use crate::ring::PUBLISHERS_MAX;

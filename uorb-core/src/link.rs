@@ -15,25 +15,29 @@
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io;
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::os::unix::fs::OpenOptionsExt;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, Once, OnceLock, PoisonError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, Once, OnceLock, PoisonError, Weak};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use nix::sys::signal::{SigSet, SigmaskHow, pthread_sigmask};
+use nix::sys::socket::{Shutdown, shutdown};
 
 use crate::error::Error;
+use crate::node::{Node, Role};
+use crate::node_file::DESCRIPTION_MAX_BYTES;
 use crate::protocol::{
-    FromBroker, Join, PROCESS_NAME_MAX_BYTES, PROTOCOL_VERSION, Refusal, Rejoin, Reply, Request,
-    ToBroker, decode, encode,
+    Advertise, Claim, FromBroker, Join, PROCESS_NAME_MAX_BYTES, PROTOCOL_VERSION, Refusal, Rejoin,
+    Reply, Request, Subscribe, ToBroker, decode, encode,
 };
 use crate::system::System;
+use crate::topic::Instance;
 use crate::transport::{connect_to_broker, receive_packet, send_packet};
 
 /// How long a request waits for its answer, a restart of the broker included.
@@ -42,6 +46,9 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 /// The pauses between two attempts to find a new broker: from, to.
 const RETRY_FROM: Duration = Duration::from_millis(10);
 const RETRY_TO: Duration = Duration::from_millis(200);
+
+/// The number of requests whose answer nobody looks up.
+const NO_NUMBER: u32 = 0;
 
 /// How often this process is the child of a fork, counted by a handler that
 /// fork(2) runs in the child.
@@ -66,12 +73,19 @@ pub(crate) struct Link {
     /// Written when the session is over.
     quit: EventFd,
     state: Mutex<State>,
+    /// Nodes that are mapped, so that 10,000 subscriptions map one once.
+    pub(crate) nodes: Mutex<HashMap<NodeKey, Weak<Node>>>,
 }
+
+pub(crate) type NodeKey = (String, Instance, Role);
 
 #[derive(Debug, Default)]
 struct State {
     /// None while there is no broker.
-    socket: Option<OwnedFd>,
+    socket: Option<Arc<OwnedFd>>,
+    /// Whether the broker has let a request wait too long and said nothing
+    /// since: it is stopped, and nobody waits for it again.
+    is_silent: bool,
     next_number: u32,
     next_handle: u32,
     /// Requests that wait for an answer, by number.
@@ -84,11 +98,40 @@ struct State {
 
 #[derive(Debug)]
 struct Call {
-    packet: Vec<u8>,
+    request: Request,
     answer: SyncSender<Reply>,
-    /// Whether the next broker is to be asked again. Giving a handle back is
-    /// done when the broker is gone: the next one is not told of it.
-    again: bool,
+}
+
+impl State {
+    /// Notes what a granted request has got, so that it is got again from the
+    /// next broker. In one step with taking the answer: a re-join in between
+    /// would not name it.
+    fn note(&mut self, request: Request, reply: &Reply) {
+        match (request, reply) {
+            (Request::Advertise(advertise), Reply::Advertised(instance)) => {
+                // From now on it is this instance, whatever was asked for.
+                let claim = Claim::Shared(*instance);
+                let handle = advertise.handle;
+                self.held.insert(handle, Request::Advertise(Advertise { claim, ..advertise }));
+            }
+            (Request::Subscribe(subscribe), Reply::Subscribed) => {
+                self.waiting.remove(&subscribe.handle);
+                self.held.insert(subscribe.handle, Request::Subscribe(subscribe));
+            }
+            (Request::Subscribe(subscribe), Reply::Waiting) => {
+                self.held.insert(subscribe.handle, Request::Subscribe(subscribe));
+            }
+            _ => {}
+        }
+    }
+
+    /// A topic that a subscription waits for is described.
+    fn described(&mut self, handle: u32) {
+        if let Some(waiting) = self.waiting.remove(&handle) {
+            let _ = waiting.described.set(());
+            waiting.wake();
+        }
+    }
 }
 
 /// A subscription by name to a topic that nobody has described yet. Its event
@@ -110,11 +153,6 @@ impl Waiting {
         self.described.get().is_some()
     }
 
-    fn end(&self) {
-        let _ = self.described.set(());
-        self.wake();
-    }
-
     fn wake(&self) {
         let _ = self.event.write(1);
     }
@@ -131,7 +169,7 @@ impl Link {
         });
 
         let path = system.socket();
-        let socket = connect_to_broker(system).map_err(|error| no_broker(system, error))?;
+        let socket = connect_patiently(system)?;
         let (peer, system_id) = match join(system, &socket, None)? {
             Reply::Welcome { peer, system_id } => (peer, system_id),
             reply => return Err(unexpected(reply)),
@@ -146,7 +184,8 @@ impl Link {
             forks: FORKS.load(Ordering::Relaxed),
             ended: AtomicBool::new(false),
             quit,
-            state: Mutex::new(State { socket: Some(socket), ..State::default() }),
+            state: Mutex::new(State { socket: Some(Arc::new(socket)), ..State::default() }),
+            nodes: Mutex::default(),
         });
         let thread = spawn_quiet(link.clone())
             .map_err(|error| Error::io("start a thread for", &path, error))?;
@@ -189,13 +228,8 @@ impl Link {
     /// A number that nothing else of this process has.
     pub(crate) fn new_handle(&self) -> u32 {
         let mut state = self.state();
-        state.next_handle += 1;
+        state.next_handle = state.next_handle.wrapping_add(1);
         state.next_handle
-    }
-
-    /// Notes by which request a handle is got again.
-    pub(crate) fn hold(&self, handle: u32, request: Request) {
-        self.state().held.insert(handle, request);
     }
 
     /// Notes that a subscription waits for its topic. Before the request: the
@@ -204,23 +238,35 @@ impl Link {
         self.state().waiting.insert(handle, waiting);
     }
 
-    /// Notes that a subscription does not wait any more.
-    pub(crate) fn stop_waiting(&self, handle: u32) {
-        self.state().waiting.remove(&handle);
-    }
-
-    /// Gives a handle back. While there is no broker it is enough not to name
-    /// it again to the next one.
+    /// Gives a handle back, and waits until the broker has noted it. While there
+    /// is no broker it is enough not to name it again to the next one.
     pub(crate) fn forget(&self, handle: u32, request: Request) {
-        let connected = {
+        // In the child of a fork it is the parent's, and a thread of the parent
+        // may have held the lock at the fork.
+        if self.is_forked() {
+            return;
+        }
+        let waits = {
             let mut state = self.state();
             state.held.remove(&handle);
             state.waiting.remove(&handle);
-            state.socket.is_some()
+            state.socket.is_some() && !state.is_silent && !self.has_ended()
         };
-        if connected && self.check().is_ok() {
-            let _ = self.ask(request);
+        if !waits || self.ask(request.clone()).is_err() {
+            self.tell(request);
         }
+    }
+
+    /// Gives back what a failed request may have got, without waiting.
+    pub(crate) fn take_back(&self, handle: u32, request: Request) {
+        if self.is_forked() {
+            return;
+        }
+        let mut state = self.state();
+        state.held.remove(&handle);
+        state.waiting.remove(&handle);
+        drop(state);
+        self.tell(request);
     }
 
     // Requests.
@@ -229,20 +275,7 @@ impl Link {
     /// answer.
     pub(crate) fn ask(&self, request: Request) -> Result<Reply, Error> {
         self.check()?;
-        let again = !matches!(request, Request::Unadvertise { .. } | Request::Unsubscribe { .. });
-        let (sender, answer) = sync_channel(1);
-        let mut state = self.state();
-        state.next_number = state.next_number.wrapping_add(1);
-        let number = state.next_number;
-        let packet = encode(&ToBroker { number, request });
-        if let Some(socket) = &state.socket {
-            // That it fails means that the broker is gone. The thread notices
-            // too, and sends all calls again to the next one.
-            let _ = send_packet(socket, &packet);
-        }
-        state.calls.insert(number, Call { packet, answer: sender, again });
-        drop(state);
-
+        let (number, answer) = self.call(request)?;
         let reply = answer.recv_timeout(ANSWER_TIMEOUT);
         let mut state = self.state();
         state.calls.remove(&number);
@@ -250,12 +283,59 @@ impl Link {
             Ok(Reply::Refused(refusal)) => Err(refusal.into()),
             Ok(reply) => Ok(reply),
             Err(_) if self.has_ended() => Err(self.unusable()),
-            Err(RecvTimeoutError::Timeout) if state.socket.is_some() => Err(Error::NoAnswer {
-                path: self.system.socket(),
-                seconds: ANSWER_TIMEOUT.as_secs(),
-            }),
+            Err(RecvTimeoutError::Timeout) if state.socket.is_some() => {
+                state.is_silent = true;
+                Err(self.no_answer())
+            }
             Err(_) => Err(Error::NoBroker { path: self.system.socket() }),
         }
+    }
+
+    /// Sends a request, and notes it for the next broker.
+    fn call(&self, request: Request) -> Result<(u32, Receiver<Reply>), Error> {
+        let (sender, answer) = sync_channel(1);
+        let mut state = self.state();
+        if self.has_ended() {
+            return Err(self.unusable());
+        }
+        state.next_number = state.next_number.wrapping_add(1);
+        let number = state.next_number;
+        let packet = encode(&ToBroker { number, request: request.clone() });
+        check_size(&request, packet.len())?;
+        if let Some(socket) = &state.socket {
+            match send_packet(socket, &packet) {
+                // A broker that reads nothing any more is stopped.
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    state.is_silent = true;
+                    return Err(self.no_answer());
+                }
+                // The broker is gone. The thread notices too, and sends all
+                // calls again to the next one.
+                _ => {}
+            }
+        }
+        state.calls.insert(number, Call { request, answer: sender });
+        Ok((number, answer))
+    }
+
+    /// Tells the broker something whose answer does not matter. If it cannot be
+    /// told, the connection is given up: re-joining tells it the same.
+    pub(crate) fn tell(&self, request: Request) {
+        if self.check().is_err() {
+            return;
+        }
+        let state = self.state();
+        if let Some(socket) = &state.socket {
+            let packet = encode(&ToBroker { number: NO_NUMBER, request });
+            if send_packet(socket, &packet).is_err() {
+                let _ = shutdown(socket.as_raw_fd(), Shutdown::Both);
+            }
+        }
+    }
+
+    #[cold]
+    fn no_answer(&self) -> Error {
+        no_answer(&self.system)
     }
 
     // The thread.
@@ -268,6 +348,11 @@ impl Link {
         // Dropping the senders wakes the callers.
         state.calls.clear();
         state.waiting.values().for_each(|waiting| waiting.wake());
+        drop(state);
+        // Whoever sleeps on a node: the bells may have lost their paths, so no
+        // broker can ring them.
+        let nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
+        nodes.values().filter_map(Weak::upgrade).for_each(|node| node.ring_own_bells());
     }
 
     /// Listens to the broker, and finds the next one, until the session or the
@@ -283,11 +368,7 @@ impl Link {
 
     /// Takes what the broker says until it is gone. False: the session is over.
     fn listen(&self, buffer: &mut Vec<u8>) -> bool {
-        let socket = match &self.state().socket {
-            Some(socket) => socket.try_clone(),
-            None => return true,
-        };
-        let Ok(socket) = socket else { return true };
+        let Some(socket) = self.state().socket.clone() else { return true };
         loop {
             let mut ready = [
                 PollFd::new(socket.as_fd(), PollFlags::POLLIN),
@@ -302,8 +383,9 @@ impl Link {
                 return false;
             }
             let message = match receive_packet(&socket, buffer) {
-                Ok(packet) if !packet.is_empty() => decode(packet),
-                _ => None,
+                Ok(packet) => decode(packet),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => continue,
+                Err(_) => None,
             };
             match message {
                 Some(message) => self.take(message),
@@ -316,22 +398,26 @@ impl Link {
         }
         let mut state = self.state();
         state.socket = None;
-        state.calls.retain(|_, call| call.again);
+        state.is_silent = false;
+        // Giving a handle back is done when the broker is gone: the next one is
+        // not told of it.
+        state.calls.retain(|_, call| {
+            !matches!(call.request, Request::Unadvertise { .. } | Request::Unsubscribe { .. })
+        });
         true
     }
 
     fn take(&self, message: FromBroker) {
         match message {
             FromBroker::Reply { number, reply } => {
-                if let Some(call) = self.state().calls.remove(&number) {
-                    let _ = call.answer.try_send(reply);
+                let mut state = self.state();
+                state.is_silent = false;
+                if let Some(Call { request, answer }) = state.calls.remove(&number) {
+                    state.note(request, &reply);
+                    let _ = answer.try_send(reply);
                 }
             }
-            FromBroker::Described { handle } => {
-                if let Some(waiting) = self.state().waiting.remove(&handle) {
-                    waiting.end();
-                }
-            }
+            FromBroker::Described { handle } => self.state().described(handle),
             FromBroker::Ended => self.end(),
         }
     }
@@ -379,22 +465,42 @@ impl Link {
         let held: Vec<(u32, Request)> =
             state.held.iter().map(|(handle, request)| (*handle, request.clone())).collect();
         for (handle, request) in held {
-            match exchange(&self.system, &socket, request, buffer)? {
-                Reply::Subscribed => {
-                    if let Some(waiting) = state.waiting.remove(&handle) {
-                        waiting.end();
-                    }
-                }
+            let reply = exchange(&self.system, &socket, request, buffer, |handle| {
+                state.described(handle);
+            })?;
+            match reply {
+                Reply::Subscribed => state.described(handle),
                 Reply::Advertised(_) | Reply::Waiting | Reply::Refused(_) => {}
                 reply => return Err(unexpected(reply)),
             }
         }
-        exchange(&self.system, &socket, Request::Rejoined, buffer)?;
-        for call in state.calls.values() {
-            send_packet(&socket, &call.packet).map_err(|error| no_broker(&self.system, error))?;
+        exchange(&self.system, &socket, Request::Rejoined, buffer, |handle| {
+            state.described(handle);
+        })?;
+        for (number, call) in &state.calls {
+            let request = call.request.clone();
+            send_packet(&socket, &encode(&ToBroker { number: *number, request }))
+                .map_err(|error| no_broker(&self.system, error))?;
         }
-        state.socket = Some(socket);
+        state.socket = Some(Arc::new(socket));
         Ok(())
+    }
+}
+
+/// Connects; while the broker has more to accept than it can keep in line, as
+/// when a hundred processes start at once, again.
+fn connect_patiently(system: &System) -> Result<OwnedFd, Error> {
+    let deadline = Instant::now() + ANSWER_TIMEOUT;
+    loop {
+        match connect_to_broker(system) {
+            Ok(socket) => return Ok(socket),
+            Err(error) if error.kind() != io::ErrorKind::WouldBlock => {
+                return Err(no_broker(system, error));
+            }
+            Err(_) if Instant::now() >= deadline => return Err(no_answer(system)),
+            // Nothing tells when there is room in its line.
+            Err(_) => thread::sleep(RETRY_FROM),
+        }
     }
 }
 
@@ -405,36 +511,52 @@ fn exchange(
     socket: &OwnedFd,
     request: Request,
     buffer: &mut Vec<u8>,
+    mut described: impl FnMut(u32),
 ) -> Result<Reply, Error> {
-    let path = system.socket();
     // A broker that was killed meanwhile is none.
-    send_packet(socket, &encode(&ToBroker { number: 0, request }))
+    send_packet(socket, &encode(&ToBroker { number: NO_NUMBER, request }))
         .map_err(|error| no_broker(system, error))?;
-    let seconds = ANSWER_TIMEOUT.as_secs();
     loop {
         let mut ready = [PollFd::new(socket.as_fd(), PollFlags::POLLIN)];
         let timeout = PollTimeout::try_from(ANSWER_TIMEOUT).unwrap_or(PollTimeout::MAX);
         match poll(&mut ready, timeout) {
-            Ok(0) => return Err(Error::NoAnswer { path, seconds }),
+            Ok(0) => return Err(no_answer(system)),
             Err(Errno::EINTR) => continue,
             _ => {}
         }
-        let packet = receive_packet(socket, buffer).map_err(|error| no_broker(system, error))?;
+        let packet = match receive_packet(socket, buffer) {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => continue,
+            packet => packet.map_err(|error| no_broker(system, error))?,
+        };
         match decode(packet) {
             Some(FromBroker::Reply { reply, .. }) => return Ok(reply),
             Some(FromBroker::Ended) => return Err(Refusal::OtherSystem.into()),
-            Some(FromBroker::Described { .. }) => {}
-            None => return Err(Error::NoBroker { path }),
+            Some(FromBroker::Described { handle }) => described(handle),
+            None => return Err(Error::NoBroker { path: system.socket() }),
         }
     }
 }
 
 fn join(system: &System, socket: &OwnedFd, rejoin: Option<Rejoin>) -> Result<Reply, Error> {
     let request = Request::Join(Join { version: PROTOCOL_VERSION, name: process_name(), rejoin });
-    match exchange(system, socket, request, &mut Vec::new())? {
+    match exchange(system, socket, request, &mut Vec::new(), |_| {})? {
         Reply::Refused(refusal) => Err(refusal.into()),
         reply => Ok(reply),
     }
+}
+
+/// A description that no node file takes is refused here: the packet might not
+/// even arrive.
+fn check_size(request: &Request, size_bytes: usize) -> Result<(), Error> {
+    let topic = match request {
+        Request::Advertise(Advertise { metadata, .. }) => &*metadata.name,
+        Request::Subscribe(Subscribe { subject, .. }) => subject.name(),
+        _ => return Ok(()),
+    };
+    if size_bytes > DESCRIPTION_MAX_BYTES {
+        return Err(Error::DescriptionTooLong { topic: topic.into(), size_bytes });
+    }
+    Ok(())
 }
 
 /// The name that `uorb info` shows: that of the program file.
@@ -480,6 +602,12 @@ fn spawn_quiet(link: Arc<Link>) -> io::Result<JoinHandle<()>> {
     thread
 }
 
+#[cold]
+fn no_answer(system: &System) -> Error {
+    Error::NoAnswer { path: system.socket(), seconds: ANSWER_TIMEOUT.as_secs() }
+}
+
+#[cold]
 fn no_broker(system: &System, error: io::Error) -> Error {
     let path = system.socket();
     match error.kind() {
@@ -487,6 +615,7 @@ fn no_broker(system: &System, error: io::Error) -> Error {
         | io::ErrorKind::ConnectionRefused
         | io::ErrorKind::ConnectionReset
         | io::ErrorKind::BrokenPipe => Error::NoBroker { path },
+        io::ErrorKind::WouldBlock => no_answer(system),
         _ => Error::io("speak to", &path, error),
     }
 }

@@ -61,6 +61,7 @@ impl Node {
         bell::ring_if_asked(&self.asked, &self.rung, || {
             *self.rings.lock().unwrap() += 1;
             self.sleepers.notify_all();
+            true
         });
         generation
     }

@@ -104,6 +104,15 @@ impl PublisherEntry {
     }
 }
 
+/// Why a node is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// Its system has ended.
+    System = 1,
+    /// A node of another layout has taken its place.
+    GaveWay = 2,
+}
+
 /// What everybody may know of a node at one moment.
 #[derive(Clone, Debug)]
 pub struct NodeStatus {
@@ -264,9 +273,7 @@ impl Node {
         let generation = mapped.ring.publish(writer, now_us(), message)?;
         let asked = &self.doorbell.words()[doorbell::ASKED];
         bell::ring_if_asked(asked, mapped.rung, || {
-            if let Some(bell) = &mapped.bell {
-                bell.ring();
-            }
+            mapped.bell.as_ref().is_some_and(|bell| bell.ring())
         });
         Ok(generation)
     }
@@ -331,6 +338,15 @@ impl Node {
         self.counts.words()[counts::ENDED].load(Ordering::Relaxed) != 0
     }
 
+    /// Why it has ended, if it has.
+    pub fn ending(&self) -> Option<Ending> {
+        match self.counts.words()[counts::ENDED].load(Ordering::SeqCst) {
+            0 => None,
+            word if word == Ending::GaveWay as u64 => Some(Ending::GaveWay),
+            _ => Some(Ending::System),
+        }
+    }
+
     /// The number of publishers.
     pub fn publishers(&self) -> u64 {
         self.counts.words()[counts::PUBLISHERS].load(Ordering::Acquire)
@@ -376,6 +392,14 @@ impl Node {
         Bell::open(&self.bell_path)
             .map(Arc::new)
             .map_err(|error| Error::io("open the bell", &self.bell_path, error))
+    }
+
+    /// Wakes the subscriptions of this process, also where the bell has lost its
+    /// path.
+    pub(crate) fn ring_own_bells(&self) {
+        for bell in self.bells.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+            bell.ring();
+        }
     }
 
     /// A bell for one more epoll instance to register.

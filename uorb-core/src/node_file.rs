@@ -177,6 +177,11 @@ impl Identity {
             return Err(corrupt("its name is not a topic's"));
         }
         metadata.layout.check().map_err(|fault| corrupt(&fault.to_string()))?;
+        // Room below for the ring that is formatted with the generations before
+        // it, and above for nine years of messages.
+        if !(FIRST_BASE / 2..1 << 40).contains(&head.base) {
+            return Err(corrupt("its first generation is out of range"));
+        }
         let instance = u8::try_from(head.instance).ok().and_then(Instance::new);
         let identity = Self {
             system_id: head.system_id,

@@ -18,7 +18,7 @@ use crate::subscription::RawSubscription;
 ///
 /// It returns 0 when the time is over and when a signal arrives, so that a
 /// handler's flag can be looked at. With something to copy it returns at once,
-/// without a system call.
+/// without a system call. Without subscriptions it sleeps, as poll(2) does.
 ///
 /// ```no_run
 /// # use std::time::Duration;
@@ -49,9 +49,12 @@ pub fn poll(
     loop {
         let mut updated = 0;
         for subscription in subscriptions.iter_mut() {
+            // That it cannot follow a topic that is there now is an error, not
+            // a reason to wait.
+            subscription.attach()?;
             updated += usize::from(subscription.updated());
         }
-        if updated > 0 || subscriptions.is_empty() {
+        if updated > 0 {
             return Ok(updated);
         }
         let rest = deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));

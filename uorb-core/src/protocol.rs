@@ -21,9 +21,10 @@ use crate::topic::{Instance, Metadata, Priority, QueueLength};
 /// The version of these words. A broker refuses a process of another one.
 pub const PROTOCOL_VERSION: u32 = 1;
 
-/// The largest packet, in bytes: a description of the greatest length, and room
-/// for what stands around it. The kernel takes packets up to about 208 KiB.
-pub const PACKET_MAX_BYTES: usize = 128 * 1024;
+/// The largest packet, in bytes: two descriptions of the greatest length, as a
+/// mismatch has them, and room for what stands around them. The kernel takes
+/// packets up to about 208 KiB.
+pub const PACKET_MAX_BYTES: usize = 192 * 1024;
 
 /// The most bytes of a process's name that are kept.
 pub const PROCESS_NAME_MAX_BYTES: usize = 32;
@@ -136,6 +137,14 @@ impl Subject {
         match self {
             Self::Described(metadata) => &metadata.name,
             Self::Named(name) => name,
+        }
+    }
+
+    /// The layout, if it is known.
+    pub fn layout(&self) -> Option<&Layout> {
+        match self {
+            Self::Described(metadata) => Some(&metadata.layout),
+            Self::Named(_) => None,
         }
     }
 }

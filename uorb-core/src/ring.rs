@@ -331,8 +331,7 @@ impl<'m> Ring<'m> {
         }
     }
 
-    /// Copies what a reader at `cursor` is to see next into `into`, which is
-    /// `message_bytes` long: the next generation; if that is no longer among
+    /// Copies what a reader at `cursor` is to see next into `into`: the next generation; if that is no longer among
     /// the newest Q, the oldest of those; if there is nothing newer, the newest
     /// again. None if nothing was ever published.
     #[inline]
@@ -341,7 +340,11 @@ impl<'m> Ring<'m> {
         cursor: u64,
         into: &mut [MaybeUninit<u8>],
     ) -> Result<Option<Taken>, Corrupt> {
-        debug_assert_eq!(into.len(), self.geometry.message_bytes);
+        // What is not written here stays as it was, and the caller takes it for
+        // a message.
+        if into.len() != self.geometry.message_bytes {
+            return Err(Corrupt);
+        }
         let mut newest = self.newest(cursor);
         if newest == self.base {
             return Ok(None);

@@ -3,14 +3,14 @@
 //! Advertising and subscribing ask the broker and wait for its answer (see
 //! `link.rs`); publishing and copying never come here.
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, PoisonError, Weak};
 use std::thread::JoinHandle;
 
 use crate::error::Error;
+use crate::layout::Layout;
 use crate::link::{Link, Waiting, unexpected};
 use crate::node::{Node, Role};
-use crate::protocol::{Advertise, Claim, PeerInfo, Reply, Request, Subject, Subscribe};
+use crate::protocol::{Advertise, PeerInfo, Reply, Request, Subject, Subscribe};
 use crate::system::System;
 use crate::topic::{Instance, Metadata};
 
@@ -25,8 +25,6 @@ pub struct Session {
 struct Inner {
     link: Arc<Link>,
     thread: Option<JoinHandle<()>>,
-    /// Nodes that are mapped, so that 10,000 subscriptions map one once.
-    nodes: Mutex<HashMap<(String, Instance, Role), Weak<Node>>>,
 }
 
 /// What a new subscription gets: the node, or a place to wait for it.
@@ -53,8 +51,7 @@ impl Session {
     /// As [`Session::connect`].
     pub fn connect_to(system: &System) -> Result<Self, Error> {
         let (link, thread) = Link::connect(system)?;
-        let inner = Inner { link, thread: Some(thread), nodes: Mutex::default() };
-        Ok(Self { inner: Arc::new(inner) })
+        Ok(Self { inner: Arc::new(Inner { link, thread: Some(thread) }) })
     }
 
     /// The system it belongs to.
@@ -77,6 +74,11 @@ impl Session {
     #[inline]
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.inner.link.check()
+    }
+
+    /// Whether this process is a child of the one that made the session.
+    pub(crate) fn is_forked(&self) -> bool {
+        self.inner.link.is_forked()
     }
 
     /// The error of a handle whose system has ended.
@@ -149,22 +151,18 @@ impl Session {
     /// Becomes a publisher. Returns the handle and the node, ready to publish.
     pub(crate) fn advertise(&self, advertise: Advertise) -> Result<(u32, Arc<Node>), Error> {
         let handle = self.inner.link.new_handle();
-        let name = advertise.metadata.name.to_string();
-        let mut advertise = Advertise { handle, ..advertise };
-        let instance = match self.ask(Request::Advertise(advertise.clone()))? {
-            Reply::Advertised(instance) => instance,
-            reply => return Err(unexpected(reply)),
-        };
-        // From now on it is this instance, whatever was asked for first.
-        advertise.claim = Claim::Shared(instance);
-        self.inner.link.hold(handle, Request::Advertise(advertise));
-        match self.node(&name, instance, Role::Publisher) {
-            Ok(node) => Ok((handle, node)),
-            Err(error) => {
-                self.unadvertise(handle);
-                Err(error)
+        let metadata = advertise.metadata.clone();
+        let advertise = Advertise { handle, ..advertise };
+        let advertised = self.ask(Request::Advertise(advertise)).and_then(|reply| match reply {
+            Reply::Advertised(instance) => {
+                self.node(&metadata.name, instance, Role::Publisher, Some(&metadata.layout))
             }
-        }
+            reply => Err(unexpected(reply)),
+        });
+        // It may have been granted all the same, or may yet be.
+        advertised.map(|node| (handle, node)).inspect_err(|_| {
+            self.inner.link.take_back(handle, Request::Unadvertise { handle });
+        })
     }
 
     /// Stops being a publisher.
@@ -179,7 +177,6 @@ impl Session {
         instance: Instance,
     ) -> Result<(u32, Followed), Error> {
         let handle = self.inner.link.new_handle();
-        let name = subject.name().to_string();
         let waiting = match &subject {
             Subject::Described(_) => None,
             Subject::Named(_) => Some(Waiting::new()?),
@@ -187,25 +184,18 @@ impl Session {
         if let Some(waiting) = &waiting {
             self.inner.link.wait(handle, waiting.clone());
         }
-        let request = Request::Subscribe(Subscribe { handle, subject, instance });
-        let followed = self.ask(request.clone()).and_then(|reply| match (reply, waiting) {
-            (Reply::Subscribed, _) => {
-                self.inner.link.stop_waiting(handle);
-                self.node(&name, instance, Role::Subscriber).map(Followed::Node)
-            }
-            (Reply::Waiting, Some(waiting)) => Ok(Followed::Waiting(waiting)),
-            (reply, _) => Err(unexpected(reply)),
-        });
-        match followed {
-            Ok(followed) => {
-                self.inner.link.hold(handle, request);
-                Ok((handle, followed))
-            }
-            Err(error) => {
-                self.unsubscribe(handle);
-                Err(error)
-            }
-        }
+        let subscribe = Subscribe { handle, subject: subject.clone(), instance };
+        let followed =
+            self.ask(Request::Subscribe(subscribe)).and_then(|reply| match (reply, waiting) {
+                (Reply::Subscribed, _) => self
+                    .node(subject.name(), instance, Role::Subscriber, subject.layout())
+                    .map(Followed::Node),
+                (Reply::Waiting, Some(waiting)) => Ok(Followed::Waiting(waiting)),
+                (reply, _) => Err(unexpected(reply)),
+            });
+        followed.map(|followed| (handle, followed)).inspect_err(|_| {
+            self.inner.link.take_back(handle, Request::Unsubscribe { handle });
+        })
     }
 
     /// Stops following a node.
@@ -213,34 +203,49 @@ impl Session {
         self.inner.link.forget(handle, Request::Unsubscribe { handle });
     }
 
-    /// The node as this process has it mapped for `role`.
+    /// The node as this process has it mapped for `role`. What the broker has
+    /// granted is looked at again: its messages are `layout`, if that is known.
     pub(crate) fn node(
         &self,
         topic: &str,
         instance: Instance,
         role: Role,
+        layout: Option<&Layout>,
     ) -> Result<Arc<Node>, Error> {
         let key = (topic.to_string(), instance, role);
-        let mut nodes = self.inner.nodes.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(node) = nodes.get(&key).and_then(Weak::upgrade) {
-            return Ok(node);
+        let mut nodes = self.inner.link.nodes.lock().unwrap_or_else(PoisonError::into_inner);
+        let mapped = nodes.get(&key).and_then(Weak::upgrade);
+        // One that gave way may still be in somebody's hands.
+        let node = match mapped.filter(|node| !node.has_ended()) {
+            Some(node) => node,
+            None => {
+                let node = Arc::new(Node::open(self.system(), topic, instance, role)?);
+                if node.identity.system_id != self.inner.link.system_id {
+                    drop(nodes);
+                    self.inner.link.end();
+                    return Err(self.ended());
+                }
+                nodes.insert(key, Arc::downgrade(&node));
+                node
+            }
+        };
+        if layout.is_some_and(|layout| !layout.matches(&node.identity.metadata.layout)) {
+            let (path, what) = (node.name().into(), "its layout is not the granted one".into());
+            return Err(Error::CorruptNode { path, what });
         }
-        let node = Node::open(self.system(), topic, instance, role)?;
-        if node.identity.system_id != self.inner.link.system_id {
-            self.inner.link.end();
-            return Err(self.ended());
-        }
-        let node = Arc::new(node);
-        nodes.insert(key, Arc::downgrade(&node));
         Ok(node)
     }
 }
 
 impl Drop for Inner {
     fn drop(&mut self) {
+        // In the child of a fork the thread does not exist, and the event that
+        // would end it is the parent's.
+        if self.link.is_forked() {
+            return;
+        }
         self.link.quit();
-        // In the child of a fork the thread does not exist.
-        if let Some(thread) = self.thread.take().filter(|_| !self.link.is_forked()) {
+        if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
     }

@@ -128,8 +128,21 @@ impl RawSubscription {
     #[inline]
     pub fn updated(&mut self) -> bool {
         let Some(node) = &self.node else { return self.updated_once_described() };
-        let updated = node.has_newer(self.cursor) && self.is_due();
-        if !updated && self.descriptor.get().is_some() {
+        let has_newer = node.has_newer(self.cursor);
+        if has_newer && self.pace.is_none() && !self.is_corrupt {
+            return true;
+        }
+        if !has_newer && self.descriptor.get().is_none() {
+            return false;
+        }
+        self.updated_with_care(has_newer)
+    }
+
+    /// As `updated`, for a subscription with an interval or a descriptor.
+    #[inline(never)]
+    fn updated_with_care(&self, has_newer: bool) -> bool {
+        let updated = has_newer && !self.is_corrupt && self.is_due();
+        if !updated {
             self.settle();
         }
         updated
@@ -140,7 +153,6 @@ impl RawSubscription {
         matches!(self.attach(), Ok(true)) && self.updated()
     }
 
-    #[inline]
     fn is_due(&self) -> bool {
         self.pace.is_none_or(|pace| now_us() >= pace.due_us())
     }
@@ -150,14 +162,14 @@ impl RawSubscription {
         let Some(waiting) = self.waiting.clone().filter(|waiting| waiting.is_over()) else {
             return Ok(self.node.is_some());
         };
-        let node = self.session.node(&self.topic, self.instance, Role::Subscriber)?;
+        let node = self.session.node(&self.topic, self.instance, Role::Subscriber, None)?;
         if let Some(descriptor) = self.descriptor.get() {
             descriptor.attach(&node)?;
             descriptor.stop_waiting(&waiting);
         }
-        // Whatever was published since the topic was described came after the
-        // subscription; the newest of it is pending.
-        self.cursor = node.cursor_of_newcomer();
+        // The node was made after the subscription, and so was all that was
+        // ever published on it.
+        self.cursor = node.identity.base;
         self.node = Some(node);
         self.waiting = None;
         Ok(true)
@@ -189,9 +201,10 @@ impl RawSubscription {
         let Some(node) = &self.node else { return false };
         let taken = match node.take(self.cursor, into) {
             Ok(Some(taken)) => taken,
-            Ok(None) => return false,
-            Err(_) => {
-                self.is_corrupt = true;
+            nothing => {
+                self.is_corrupt = nothing.is_err();
+                // Somebody else may have rung, and nothing is there to copy.
+                self.settle();
                 return false;
             }
         };

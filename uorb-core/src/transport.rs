@@ -18,26 +18,27 @@ use crate::system::System;
 /// Connections that wait to be accepted.
 const BACKLOG: i32 = 128;
 
-/// Connects to the broker of a system.
+/// Connects to the broker of a system, without waiting.
 ///
 /// # Errors
 ///
-/// What connect(2) says: `ENOENT` and `ECONNREFUSED` mean that no broker runs.
+/// What connect(2) says: `ENOENT` and `ECONNREFUSED` mean that no broker runs,
+/// `EAGAIN` that too many wait for it already.
 pub(crate) fn connect_to_broker(system: &System) -> io::Result<OwnedFd> {
-    let socket = new_socket(SockFlag::empty())?;
+    let socket = new_socket()?;
     let (address, _dir) = address(system)?;
     connect(socket.as_raw_fd(), &address)?;
     Ok(socket)
 }
 
-/// Makes the broker's own socket, non-blocking. A stale one is removed first:
+/// Makes the broker's own socket. A stale one is removed first:
 /// the caller holds the broker's lock.
 ///
 /// # Errors
 ///
 /// What bind(2) and listen(2) say.
 pub fn listen_as_broker(system: &System) -> io::Result<OwnedFd> {
-    let socket = new_socket(SockFlag::SOCK_NONBLOCK)?;
+    let socket = new_socket()?;
     match std::fs::remove_file(system.socket()) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}
@@ -48,8 +49,9 @@ pub fn listen_as_broker(system: &System) -> io::Result<OwnedFd> {
     Ok(socket)
 }
 
-fn new_socket(flags: SockFlag) -> io::Result<OwnedFd> {
-    let flags = flags | SockFlag::SOCK_CLOEXEC;
+/// No socket of ours blocks: who is stopped stops nobody else.
+fn new_socket() -> io::Result<OwnedFd> {
+    let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
     Ok(socket(AddressFamily::Unix, SockType::SeqPacket, flags, None)?)
 }
 
@@ -73,7 +75,7 @@ fn address(system: &System) -> io::Result<(UnixAddr, Option<File>)> {
 ///
 /// # Errors
 ///
-/// What send(2) says.
+/// What send(2) says; `EAGAIN` where the other side does not read.
 pub fn send_packet(socket: impl AsFd, packet: &[u8]) -> io::Result<()> {
     loop {
         match send(socket.as_fd().as_raw_fd(), packet, MsgFlags::MSG_NOSIGNAL) {
@@ -89,7 +91,8 @@ pub fn send_packet(socket: impl AsFd, packet: &[u8]) -> io::Result<()> {
 ///
 /// # Errors
 ///
-/// What recv(2) says, and `EMSGSIZE` for a packet that is too long.
+/// What recv(2) says; `EAGAIN` where there is nothing, `EMSGSIZE` for a packet
+/// that is too long.
 pub fn receive_packet(socket: impl AsFd, buffer: &mut Vec<u8>) -> io::Result<&[u8]> {
     buffer.resize(PACKET_MAX_BYTES, 0);
     loop {

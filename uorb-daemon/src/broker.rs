@@ -9,7 +9,9 @@ mod deaths;
 mod nodes;
 
 use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
 use std::os::fd::OwnedFd;
+use std::os::unix::fs::MetadataExt;
 
 use anyhow::{Context, bail};
 use nix::errno::Errno;
@@ -19,7 +21,7 @@ use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use nix::sys::timerfd::{ClockId, TimerFd, TimerFlags};
 use tracing::{info, warn};
-use uorb_core::broker_side::{FromBroker, Node, boot_id, listen_as_broker};
+use uorb_core::broker_side::{Ending, FromBroker, Node, boot_id, listen_as_broker};
 use uorb_core::{System, now_us};
 
 use crate::connection::Connection;
@@ -55,6 +57,10 @@ impl Event {
         }
     }
 
+    fn readable(self) -> EpollEvent {
+        EpollEvent::new(EpollFlags::EPOLLIN, self.to_token())
+    }
+
     fn from_token(token: u64) -> Self {
         match (token >> 32, token as u32) {
             (1, number) => Self::Connection(number),
@@ -86,7 +92,14 @@ pub(crate) struct Broker {
     connected: HashMap<u16, u32>,
     /// What tells of a process's death.
     pidfds: HashMap<u16, OwnedFd>,
+    /// Given up for a moment when there are no descriptors left, so that
+    /// whoever connects can be turned away.
+    reserve: Option<File>,
+    /// Whether the listener is out of the loop until the doubt timer.
+    is_deaf: bool,
     buffer: Vec<u8>,
+    /// Held locked while the broker runs.
+    lock: File,
     ended: bool,
 }
 
@@ -94,6 +107,7 @@ impl Broker {
     /// A broker in a directory that is ours and locked.
     pub(crate) fn new(
         system: System,
+        lock: File,
         system_id: u64,
         living: Vec<Survivor>,
     ) -> anyhow::Result<Self> {
@@ -124,16 +138,18 @@ impl Broker {
             last_connection: 0,
             connected: HashMap::new(),
             pidfds: HashMap::new(),
+            reserve: File::open("/dev/null").ok(),
+            is_deaf: false,
             buffer: Vec::new(),
+            lock,
             ended: false,
             system,
         };
-        let readable = |event: Event| EpollEvent::new(EpollFlags::EPOLLIN, event.to_token());
         let epoll = &broker.epoll;
-        epoll.add(&broker.listener, readable(Event::Connecting))?;
-        epoll.add(&broker.signals, readable(Event::Signal))?;
-        epoll.add(&broker.directory, readable(Event::Directory))?;
-        epoll.add(&broker.doubt, readable(Event::Doubt))?;
+        epoll.add(&broker.listener, Event::Connecting.readable())?;
+        epoll.add(&broker.signals, Event::Signal.readable())?;
+        epoll.add(&broker.directory, Event::Directory.readable())?;
+        epoll.add(&broker.doubt, Event::Doubt.readable())?;
         broker.adopt(living)?;
         Ok(broker)
     }
@@ -159,7 +175,11 @@ impl Broker {
         match event {
             Event::Connecting => self.accept(),
             Event::Connection(number) => self.serve(number),
-            Event::Death(peer) => self.bury(peer),
+            Event::Death(peer) => {
+                // It stays readable, whatever the lock says.
+                self.pidfds.remove(&peer);
+                self.bury(peer);
+            }
             Event::Doubt => self.look_at_the_doubtful(),
             Event::Signal => {
                 let _ = self.signals.read_signal();
@@ -169,9 +189,9 @@ impl Broker {
             Event::Directory => {
                 let _ = self.directory.read_events();
                 // A login user's files in /dev/shm are removed at logout where
-                // systemd has RemoveIPC=yes.
-                if !self.system.lock().exists() {
-                    self.end();
+                // systemd has RemoveIPC=yes. What has our name now is not ours.
+                if self.lock.metadata().is_ok_and(|lock| lock.nlink() == 0) {
+                    self.say_ended();
                     bail!(
                         "{} was removed: the system has ended. If that was at logout, \
                          enable lingering (loginctl enable-linger) or use a service user",
@@ -188,17 +208,22 @@ impl Broker {
         if self.ended {
             return;
         }
-        self.ended = true;
         // Nobody may come in any more.
         let _ = std::fs::remove_file(self.system.socket());
+        self.say_ended();
         for (key, node) in &self.nodes {
-            node.end();
             ring(key, node);
         }
+        directory::remove(&self.system);
+    }
+
+    /// Marks the system as ended, and tells every session.
+    fn say_ended(&mut self) {
+        self.ended = true;
+        self.nodes.values().for_each(|node| node.end(Ending::System));
         for connection in self.connections.values_mut() {
             let _ = connection.send(&FromBroker::Ended);
         }
-        directory::remove(&self.system);
     }
 }
 

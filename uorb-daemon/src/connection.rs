@@ -8,9 +8,9 @@ use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
 
 use nix::sys::socket::{getsockopt, sockopt};
-use uorb_core::broker_side::{FromBroker, encode, send_packet};
+use uorb_core::broker_side::{FromBroker, PACKET_MAX_BYTES, Refusal, Reply, encode, send_packet};
 
-use crate::limits::OUTBOUND_MAX;
+use crate::limits::OUTBOUND_MAX_BYTES;
 
 #[derive(Debug)]
 pub(crate) struct Connection {
@@ -19,6 +19,7 @@ pub(crate) struct Connection {
     pub(crate) peer: Option<u16>,
     pub(crate) pid: u32,
     outbound: VecDeque<Vec<u8>>,
+    outbound_bytes: usize,
 }
 
 /// The connection cannot go on.
@@ -40,21 +41,34 @@ impl Connection {
             return None;
         }
         let pid = u32::try_from(credentials.pid()).unwrap_or(0);
-        Some(Self { socket, peer: None, pid, outbound: VecDeque::new() })
+        Some(Self { socket, peer: None, pid, outbound: VecDeque::new(), outbound_bytes: 0 })
     }
 
     /// Sends a message now, or when the socket takes it.
     pub(crate) fn send(&mut self, message: &FromBroker) -> Result<(), CutOff> {
-        self.outbound.push_back(encode(message));
+        let mut packet = encode(message);
+        if let (FromBroker::Reply { number, .. }, true) = (message, packet.len() > PACKET_MAX_BYTES)
+        {
+            let limit = PACKET_MAX_BYTES as u32;
+            let refusal = Refusal::Limit { what: "bytes of one answer".into(), limit };
+            let reply = Reply::Refused(refusal);
+            packet = encode(&FromBroker::Reply { number: *number, reply });
+        }
+        self.outbound_bytes += packet.len();
+        self.outbound.push_back(packet);
         self.flush()?;
-        if self.outbound.len() > OUTBOUND_MAX { Err(CutOff::DoesNotRead) } else { Ok(()) }
+        let too_much = self.outbound_bytes > OUTBOUND_MAX_BYTES;
+        if too_much { Err(CutOff::DoesNotRead) } else { Ok(()) }
     }
 
     /// Sends what the socket takes.
     pub(crate) fn flush(&mut self) -> Result<(), CutOff> {
         while let Some(packet) = self.outbound.front() {
             match send_packet(&self.socket, packet) {
-                Ok(()) => _ = self.outbound.pop_front(),
+                Ok(()) => {
+                    self.outbound_bytes -= packet.len();
+                    self.outbound.pop_front();
+                }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
                 Err(_) => return Err(CutOff::HungUp),
             }

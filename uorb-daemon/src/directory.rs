@@ -15,7 +15,7 @@ use anyhow::{Context, bail};
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
 use uorb_core::System;
-use uorb_core::broker_side::{NODE_FILE_VERSION, boot_id};
+use uorb_core::broker_side::{Ending, NODE_FILE_VERSION, Node, Role, boot_id};
 
 /// What a broker that starts has found.
 pub(crate) enum Found {
@@ -56,6 +56,7 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
     if let Some(before) = before
         && !living.is_empty()
         && before.boot_id == boot_id()?
+        && !was_ending(system)?
     {
         if before.version != NODE_FILE_VERSION {
             let names: Vec<_> =
@@ -77,6 +78,15 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
     let inscription = now(random()?)?;
     inscription.write(&lock).with_context(|| format!("cannot write {}", lock_name(system)))?;
     Ok(Found::Ours { lock, system_id: inscription.system_id, living: Vec::new() })
+}
+
+/// Whether the broker before us was killed while it ended the system: some
+/// handles have heard of it already.
+fn was_ending(system: &System) -> anyhow::Result<bool> {
+    let nodes = system.list_nodes()?.into_iter();
+    let mut open =
+        nodes.flat_map(|(topic, instance)| Node::open(system, &topic, instance, Role::Observer));
+    Ok(open.any(|node| node.ending() == Some(Ending::System)))
 }
 
 /// Removes all that a system has, its lock last: whoever waits for the lock
@@ -208,10 +218,13 @@ fn empty(system: &System) -> anyhow::Result<()> {
 fn living(system: &System) -> anyhow::Result<Vec<Survivor>> {
     let mut living = Vec::new();
     for peer in listed(system) {
-        if let Some(pid) = lock_holder(system, peer) {
-            let name = fs::read_to_string(system.peer(peer)).unwrap_or_default();
-            living.push(Survivor { peer, pid, name });
-        }
+        let pid = match life_of(system, peer) {
+            Life::Goes(pid) => pid,
+            Life::Unknown => 0,
+            Life::Over => continue,
+        };
+        let name = fs::read_to_string(system.peer(peer)).unwrap_or_default();
+        living.push(Survivor { peer, pid, name });
     }
     Ok(living)
 }
@@ -222,18 +235,35 @@ pub(crate) fn listed(system: &System) -> Vec<u16> {
     entries.flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect()
 }
 
-/// The process id of whoever has a peer's file locked; None: nobody, the
-/// process is dead.
-pub(crate) fn lock_holder(system: &System, peer: u16) -> Option<u32> {
+/// Whether a process that holds its file locked lives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Life {
+    /// It does. Its process id; 0 where the kernel does not say.
+    Goes(u32),
+    /// Nobody holds the lock: it is dead.
+    Over,
+    /// It cannot be told now, so nothing of it may be given away.
+    Unknown,
+}
+
+/// Whether a process lives, by the lock on its file.
+pub(crate) fn life_of(system: &System, peer: u16) -> Life {
     let file = File::options()
         .read(true)
         .write(true)
         .custom_flags(libc::O_CLOEXEC | libc::O_NOFOLLOW)
-        .open(system.peer(peer))
-        .ok()?;
+        .open(system.peer(peer));
+    let file = match file {
+        Ok(file) => file,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Life::Over,
+        Err(_) => return Life::Unknown,
+    };
     let mut lock = write_lock();
-    fcntl(&file, FcntlArg::F_GETLK(&mut lock)).ok()?;
-    (lock.l_type != libc::F_UNLCK as libc::c_short).then_some(lock.l_pid.unsigned_abs())
+    match fcntl(&file, FcntlArg::F_GETLK(&mut lock)) {
+        Err(_) => Life::Unknown,
+        Ok(_) if lock.l_type == libc::F_UNLCK as libc::c_short => Life::Over,
+        Ok(_) => Life::Goes(lock.l_pid.unsigned_abs()),
+    }
 }
 
 /// Makes the file that a new process is to lock.

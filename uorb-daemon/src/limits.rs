@@ -14,9 +14,12 @@ pub(crate) const NODES_MAX: usize = 8_192;
 /// Publications and subscriptions of one process.
 pub(crate) const HANDLES_MAX: usize = 65_536;
 
-/// Packets that wait for a process which does not read. One that lets so many
+/// Bytes that wait for a process which does not read. One that lets so many
 /// pile up is cut off: the broker waits for nobody.
-pub(crate) const OUTBOUND_MAX: usize = 1_024;
+pub(crate) const OUTBOUND_MAX_BYTES: usize = 1 << 20;
+
+/// Users that a layout mismatch names.
+pub(crate) const USERS_NAMED_MAX: usize = 8;
 
 /// Packets taken from one process before the others have their turn.
 pub(crate) const PACKETS_A_TURN: usize = 64;
@@ -28,6 +31,5 @@ pub(crate) const LOG_MAX_BYTES: u64 = 1 << 20;
 /// How long a second `uorb start` waits for the first to answer.
 pub(crate) const RUNNING_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How often processes are looked at of which the kernel gave no pidfd and that
-/// have hung up while they live.
+/// How often processes are looked at that live without a connection.
 pub(crate) const DOUBT_INTERVAL: Duration = Duration::from_secs(1);

@@ -56,7 +56,11 @@ impl Write for CappedFile {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         if self.size_bytes + line.len() as u64 > LOG_MAX_BYTES {
             fs::rename(&self.path, self.path.with_extension("log.1"))?;
-            *self = Self::open(&self.path)?;
+            match Self::open(&self.path) {
+                Ok(anew) => *self = anew,
+                // Better too long than silent: the next line tries again.
+                Err(_) => fs::rename(self.path.with_extension("log.1"), &self.path)?,
+            }
         }
         let written = self.file.write(line)?;
         self.size_bytes += written as u64;

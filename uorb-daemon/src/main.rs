@@ -14,7 +14,7 @@ use std::io::Write;
 use std::os::fd::{FromRawFd, RawFd};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use clap::Parser;
@@ -23,7 +23,7 @@ use tracing::error;
 use uorb_core::{Session, System};
 
 use crate::broker::{Broker, kernel_rings_bells};
-use crate::directory::Found;
+use crate::directory::{Found, Survivor};
 use crate::limits::RUNNING_TIMEOUT;
 
 /// The broker of uORB between processes: it makes nodes and says who publishes
@@ -78,8 +78,7 @@ fn run(args: &Args, tell: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
             System::new(base, number.unwrap_or(named.number()))
         }
     };
-    let Found::Ours { lock: _lock, system_id, living } = directory::open(&system)? else {
-        wait_for_the_other(&system)?;
+    let Some((lock, system_id, living)) = take_system(&system)? else {
         tell("running");
         eprintln!("uorbd: already running at {system}");
         return Ok(());
@@ -94,28 +93,31 @@ fn run(args: &Args, tell: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
         );
     }
     raise_descriptor_limit();
-    let mut broker = Broker::new(system, system_id, living)?;
+    let mut broker = Broker::new(system, lock, system_id, living)?;
     tell("ready");
     broker.run()
 }
 
-/// The other broker has the lock; it is running once it answers.
-fn wait_for_the_other(system: &System) -> anyhow::Result<()> {
+/// Makes the system ours. None if another broker runs it: one that has the lock
+/// and answers. One that has the lock and does not is starting or stopping.
+fn take_system(system: &System) -> anyhow::Result<Option<(File, u64, Vec<Survivor>)>> {
     let deadline = Instant::now() + RUNNING_TIMEOUT;
     loop {
+        if let Found::Ours { lock, system_id, living } = directory::open(system)? {
+            return Ok(Some((lock, system_id, living)));
+        }
         match Session::connect_to(system) {
-            Ok(_) => return Ok(()),
+            Ok(_) => return Ok(None),
             Err(failure) if Instant::now() >= deadline => {
                 return Err(failure).context("another broker has the lock and does not answer");
             }
-            // It is between its lock and its socket, which takes it
-            // microseconds; there is nothing to wait on yet.
-            Err(_) => std::thread::sleep(std::time::Duration::from_millis(10)),
+            // That takes it microseconds; there is nothing to wait on.
+            Err(_) => std::thread::sleep(Duration::from_millis(10)),
         }
     }
 }
 
-/// Two descriptors a process and one a node that was never advertised: the soft
+/// Two descriptors a process, and one a node that is only subscribed: the soft
 /// limit of 1,024 would be the first to be reached.
 fn raise_descriptor_limit() {
     if let Ok((_, hard)) = getrlimit(Resource::RLIMIT_NOFILE) {

@@ -15,7 +15,7 @@ use uorb_core::broker_side::{
 };
 use uorb_core::{INSTANCES_MAX, Instance, Layout, Metadata, Priority, is_topic_name};
 
-use crate::limits::{HANDLES_MAX, NODES_MAX, PEERS_MAX};
+use crate::limits::{HANDLES_MAX, NODES_MAX, PEERS_MAX, USERS_NAMED_MAX};
 
 /// A node's key.
 pub(crate) type NodeKey = (String, Instance);
@@ -118,19 +118,22 @@ impl Registry {
         self.last_peer = self.last_peer.max(number);
     }
 
-    /// A known process is connected again. None: it is not known, or connected.
-    pub(crate) fn rejoin(&mut self, number: u16, pid: u32, name: String) -> Option<()> {
-        let peer = self.peers.get_mut(&number).filter(|peer| !peer.connected)?;
+    /// A known process is connected again, and will name all its handles. False:
+    /// it is connected already.
+    pub(crate) fn rejoin(&mut self, number: u16, pid: u32, name: String) -> bool {
+        let Some(peer) = self.peers.get_mut(&number).filter(|peer| !peer.connected) else {
+            return false;
+        };
         (peer.connected, peer.pid, peer.name) = (true, pid, name);
-        Some(())
+        peer.confirmed = Some(BTreeSet::new());
+        true
     }
 
     /// It has named all its handles again: those that it did not are dropped.
-    /// Returns the nodes whose counts have changed.
-    pub(crate) fn rejoined(&mut self, number: u16) -> Vec<NodeKey> {
-        let Some(peer) = self.peers.get_mut(&number) else { return Vec::new() };
-        let Some(confirmed) = peer.confirmed.take() else { return Vec::new() };
-        self.remove(number, |handle| !confirmed.contains(&handle)).advertised
+    pub(crate) fn rejoined(&mut self, number: u16) -> Estate {
+        let Some(peer) = self.peers.get_mut(&number) else { return Estate::default() };
+        let Some(confirmed) = peer.confirmed.take() else { return Estate::default() };
+        self.remove(number, |handle| !confirmed.contains(&handle))
     }
 
     /// It has hung up and may live: what it holds stays.
@@ -183,8 +186,12 @@ impl Registry {
     pub(crate) fn plan_advertise(&self, peer: u16, wanted: &Advertise) -> Result<Plan, Refusal> {
         let Advertise { handle, metadata, claim, .. } = wanted;
         self.check_request(peer, metadata)?;
-        if let Some(Held::Publication((_, instance))) = self.held(peer, *handle) {
-            return Ok(Plan { instance: *instance, give_way: Vec::new(), create: None });
+        match self.held(peer, *handle) {
+            None => {}
+            Some(Held::Publication((name, instance))) if *name == metadata.name => {
+                return Ok(Plan { instance: *instance, give_way: Vec::new(), create: None });
+            }
+            Some(_) => return Err(handle_in_use(*handle)),
         }
         let give_way = self.give_way(metadata)?;
         // Where the old nodes give way, all instances are free.
@@ -212,7 +219,14 @@ impl Registry {
         peer: u16,
         wanted: &Subscribe,
     ) -> Result<SubscribePlan, Refusal> {
-        let topic = self.topics.get(wanted.subject.name());
+        let name = wanted.subject.name();
+        match self.held(peer, wanted.handle) {
+            None => {}
+            Some(Held::Subscription((topic, instance)) | Held::Waiting(topic, instance))
+                if topic == name && *instance == wanted.instance => {}
+            Some(_) => return Err(handle_in_use(wanted.handle)),
+        }
+        let topic = self.topics.get(name);
         let metadata = match (&wanted.subject, topic) {
             (Subject::Described(metadata), _) => metadata,
             (Subject::Named(_), Some(topic)) => &topic.metadata,
@@ -275,10 +289,16 @@ impl Registry {
                 topic: wanted.name.to_string(),
                 ours: layout(wanted),
                 theirs: layout(&topic.metadata),
-                users: users.iter().map(|peer| self.name_of(*peer)).collect(),
+                users: self.names_of(&users),
             })));
         }
         Ok(topic.nodes.keys().map(|instance| (wanted.name.to_string(), *instance)).collect())
+    }
+
+    fn names_of(&self, users: &BTreeSet<u16>) -> Vec<String> {
+        let named = users.iter().take(USERS_NAMED_MAX).map(|peer| self.name_of(*peer));
+        let more = users.len().saturating_sub(USERS_NAMED_MAX);
+        named.chain((more > 0).then(|| format!("and {more} more"))).collect()
     }
 
     /// Forgets nodes that gave way.
@@ -355,7 +375,12 @@ impl Registry {
 
     /// Gives a handle back. Returns the nodes whose counts have changed.
     pub(crate) fn release(&mut self, number: u16, handle: u32) -> Estate {
-        self.remove(number, |held| held == handle)
+        let mut estate = Estate::default();
+        let peer = self.peers.get_mut(&number);
+        if let Some(held) = peer.and_then(|peer| peer.held.remove(&handle)) {
+            self.give_back(number, handle, held, &mut estate);
+        }
+        estate
     }
 
     fn remove(&mut self, number: u16, goes: impl Fn(u32) -> bool) -> Estate {
@@ -363,33 +388,38 @@ impl Registry {
         let Some(peer) = self.peers.get_mut(&number) else { return estate };
         let gone: Vec<_> = peer.held.extract_if(.., |handle, _| goes(*handle)).collect();
         for (handle, held) in gone {
-            match held {
-                Held::Publication(key) => {
-                    if let Some(node) = self.node_mut(&key) {
-                        node.publishers
-                            .retain(|entry| (entry.peer, entry.handle) != (number, handle));
-                    }
-                    estate.advertised.push(key);
-                }
-                Held::Subscription(key) => {
-                    if let Some(node) = self.node_mut(&key) {
-                        node.subscribers.remove(&(number, handle));
-                    }
-                    estate.subscribed.push(key);
-                }
-                Held::Waiting(topic, _) => {
-                    if let Some(waiting) = self.waiting.get_mut(&topic) {
-                        waiting.remove(&(number, handle));
-                    }
-                }
-            }
+            self.give_back(number, handle, held, &mut estate);
         }
-        self.waiting.retain(|_, waiting| !waiting.is_empty());
         for keys in [&mut estate.advertised, &mut estate.subscribed] {
             keys.sort();
             keys.dedup();
         }
         estate
+    }
+
+    fn give_back(&mut self, number: u16, handle: u32, held: Held, estate: &mut Estate) {
+        match held {
+            Held::Publication(key) => {
+                if let Some(node) = self.node_mut(&key) {
+                    node.publishers.retain(|entry| (entry.peer, entry.handle) != (number, handle));
+                }
+                estate.advertised.push(key);
+            }
+            Held::Subscription(key) => {
+                if let Some(node) = self.node_mut(&key) {
+                    node.subscribers.remove(&(number, handle));
+                }
+                estate.subscribed.push(key);
+            }
+            Held::Waiting(topic, _) => {
+                if let Some(waiting) = self.waiting.get_mut(&topic) {
+                    waiting.remove(&(number, handle));
+                    if waiting.is_empty() {
+                        self.waiting.remove(&topic);
+                    }
+                }
+            }
+        }
     }
 
     // What people ask.
@@ -446,6 +476,11 @@ impl Registry {
         let nodes = self.topics.values().flat_map(|topic| topic.nodes.values());
         nodes.filter(|node| !node.publishers.is_empty()).count()
     }
+}
+
+/// A handle stands for one thing: whoever gives it to another has lost count.
+fn handle_in_use(handle: u32) -> Refusal {
+    Refusal::OutOfOrder { what: format!("handle {handle} for a second thing") }
 }
 
 impl Peer {
@@ -570,8 +605,8 @@ mod tests {
 
         let estate = registry.bury(1);
 
-        assert_eq!(estate.advertised, [key.clone()]);
-        assert_eq!(estate.subscribed, [key.clone()]);
+        assert_eq!(estate.advertised, vec![key.clone()]);
+        assert_eq!(estate.subscribed, vec![key.clone()]);
         let (publishers, subscribers) = registry.counts(&key);
         assert_eq!(publishers.iter().map(|entry| entry.peer).collect::<Vec<_>>(), [2]);
         assert_eq!(subscribers, 0);
@@ -610,12 +645,12 @@ mod tests {
         let other = described(1, metadata("accel", "y"));
         assert!(registry.plan_subscribe(new, &other).is_err());
 
-        assert_eq!(registry.rejoin(5, 100, "sleeper".into()), Some(()));
+        assert!(registry.rejoin(5, 100, "sleeper".into()));
         assert!(registry.plan_subscribe(new, &other).is_err(), "it has not named its handles yet");
         registry.rejoined(5);
 
         assert!(registry.plan_subscribe(new, &other).is_ok());
-        assert_eq!(registry.rejoin(5, 100, "impostor".into()), None, "it is connected");
+        assert!(!registry.rejoin(5, 100, "impostor".into()), "it is connected");
     }
 
     #[test]
@@ -629,10 +664,34 @@ mod tests {
         assert_eq!(grant(&mut registry, 5, &advertise(2, FIRST)), Ok(0));
 
         let key = ("accel".to_string(), Instance::FIRST);
-        assert_eq!(registry.rejoined(5), [key.clone()]);
+        assert_eq!(registry.rejoined(5).advertised, vec![key.clone()]);
 
         let handles: Vec<_> = registry.counts(&key).0.iter().map(|entry| entry.handle).collect();
         assert_eq!(handles, [2]);
+    }
+
+    #[test]
+    fn a_process_that_re_joins_the_same_broker_drops_what_it_does_not_name() {
+        let mut registry = registry(1);
+        let key = ("accel".to_string(), Instance::FIRST);
+        grant(&mut registry, 1, &advertise(7, FIRST)).unwrap();
+        registry.add_subscriber(&key, 1, 8);
+        registry.disconnect(1);
+        assert!(registry.rejoin(1, 100, "process1".into()));
+
+        let estate = registry.rejoined(1);
+
+        assert_eq!((&estate.advertised, &estate.subscribed), (&vec![key.clone()], &vec![key]));
+    }
+
+    #[test]
+    fn a_handle_stands_for_one_thing() {
+        let mut registry = registry(1);
+        grant(&mut registry, 1, &advertise(7, FIRST)).unwrap();
+        let other = Advertise { metadata: metadata("gyro", "x"), ..advertise(7, FIRST) };
+        assert!(matches!(registry.plan_advertise(1, &other), Err(Refusal::OutOfOrder { .. })));
+        let as_subscription = registry.plan_subscribe(1, &by_name(7, "accel"));
+        assert!(matches!(as_subscription, Err(Refusal::OutOfOrder { .. })));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use nix::fcntl::{FallocateFlags, fallocate};
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 
-use super::{Node, PublisherEntry, Role};
+use super::{Ending, Node, PublisherEntry, Role};
 use crate::error::Error;
 use crate::node_file::{FIRST_BASE, Identity, counts};
 use crate::ring::PUBLISHERS_MAX;
@@ -41,15 +41,21 @@ impl Node {
             .open(&unfinished)
             .map_err(|error| Error::io("make", &unfinished, error))?;
         let file_bytes = identity.file_bytes(sections, identity.metadata.queue_length);
+        let unfinished_bell = system.unfinished().join(format!("{topic}{instance}.bell"));
+        let _ = std::fs::remove_file(&unfinished_bell);
         let made = allocate(&file, file_bytes, &path).and_then(|()| {
+            let rename = |from: &Path, to: &Path| {
+                std::fs::rename(from, to).map_err(|error| Error::io("name", to, error))
+            };
             file.write_all_at(&bytes, 0).map_err(|error| Error::io("write", &path, error))?;
-            let _ = std::fs::remove_file(&bell_path);
-            mkfifo(&bell_path, Mode::from_bits_truncate(0o600))
+            mkfifo(&unfinished_bell, Mode::from_bits_truncate(0o600))
                 .map_err(|errno| Error::io("make the bell", &bell_path, errno.into()))?;
-            std::fs::rename(&unfinished, &path).map_err(|error| Error::io("name", &path, error))
+            rename(&unfinished_bell, &bell_path)?;
+            rename(&unfinished, &path)
         });
         if let Err(error) = made {
             let _ = std::fs::remove_file(&unfinished);
+            let _ = std::fs::remove_file(&unfinished_bell);
             return Err(error);
         }
         Self::map(system, identity, sections, file, Role::Broker)
@@ -62,17 +68,18 @@ impl Node {
     ///
     /// [`Error::NoSpace`] where a longer queue does not fit.
     pub fn make_ring(&self, queue_length: QueueLength) -> Result<(), Error> {
-        if self.queue_length().is_some() {
+        if self.ring.get().is_some() || self.queue_length().is_some() {
             return Ok(());
         }
         let queue_length = queue_length.max(self.identity.metadata.queue_length);
         let file_bytes = self.identity.file_bytes(self.sections, queue_length);
-        {
-            let file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-            let file = file.as_ref().expect("kept until the ring is mapped");
-            allocate(file, file_bytes, self.name().as_ref())?;
-            self.ring_in(file, queue_length, file_bytes)?.ring.format();
-        }
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(open) = file.as_ref() else { return Ok(()) };
+        allocate(open, file_bytes, self.name().as_ref())?;
+        let mapped = self.ring_in(open, queue_length, file_bytes)?;
+        mapped.ring.format();
+        let _ = self.ring.set(mapped);
+        *file = None;
         // Pairs with the load in `mapped_ring`.
         self.counts.words()[counts::QUEUE_LENGTH]
             .store(queue_length.get().into(), Ordering::SeqCst);
@@ -99,8 +106,8 @@ impl Node {
     }
 
     /// Marks the node as ended: handles of it say so.
-    pub fn end(&self) {
-        self.counts.words()[counts::ENDED].store(1, Ordering::SeqCst);
+    pub fn end(&self, why: Ending) {
+        self.counts.words()[counts::ENDED].store(why as u64, Ordering::SeqCst);
     }
 
     /// Wakes every subscription that sleeps on the node.
@@ -109,7 +116,7 @@ impl Node {
     ///
     /// [`Error::Io`] where the bell cannot be opened.
     pub fn ring_bell(&self) -> Result<(), Error> {
-        self.open_bell().map(|bell| bell.ring())
+        self.open_bell().map(|bell| _ = bell.ring())
     }
 }
 

@@ -22,7 +22,8 @@ impl RawSubscription {
     /// something to copy. Called whenever that may have changed by our doing.
     pub(super) fn settle(&self) {
         let (Some(descriptor), Some(node)) = (self.descriptor.get(), &self.node) else { return };
-        if !descriptor.is_public.load(Ordering::Relaxed) {
+        // In the child of a fork the epoll instance is the parent's too.
+        if !descriptor.is_public.load(Ordering::Relaxed) || self.session.is_forked() {
             return;
         }
         if let Some(pace) = self.pace
@@ -38,11 +39,11 @@ impl RawSubscription {
             descriptor.stop_timer();
             descriptor.hear_bell();
         }
-        if node.has_newer(self.cursor) {
+        if node.has_newer(self.cursor) && !self.is_corrupt {
             return;
         }
         descriptor.consume();
-        if descriptor.ask(node, self.cursor) {
+        if descriptor.ask(node, self.cursor) && !self.is_corrupt {
             // It came in between, and its ring may have been consumed.
             descriptor.hear_bell();
         }
@@ -76,6 +77,10 @@ impl RawSubscription {
     /// Asks to be woken. True: there is something new already.
     pub(crate) fn ask(&self) -> Result<bool, Error> {
         let descriptor = self.descriptor()?;
+        if self.is_corrupt {
+            // There is always something new, and it cannot be copied.
+            return self.check().map(|()| false);
+        }
         Ok(self.node.as_ref().is_some_and(|node| descriptor.ask(node, self.cursor)))
     }
 }

@@ -1,5 +1,6 @@
 //! Connections: who is let in, what they ask, and when they are cut off.
 
+use std::fs::File;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd, RawFd};
 
 use nix::errno::Errno;
@@ -7,8 +8,8 @@ use nix::sys::epoll::{EpollEvent, EpollFlags};
 use nix::sys::socket::{SockFlag, accept4};
 use tracing::{debug, error, info, warn};
 use uorb_core::broker_side::{
-    FromBroker, Join, PROTOCOL_VERSION, Refusal, Reply, Request, ToBroker, decode,
-    decode_beginning, receive_packet,
+    FromBroker, Join, PROCESS_NAME_MAX_BYTES, PROTOCOL_VERSION, Refusal, Reply, Request, ToBroker,
+    decode, decode_beginning, receive_packet,
 };
 
 use super::nodes::failed;
@@ -26,9 +27,18 @@ impl Broker {
                 Ok(socket) => own(socket),
                 Err(Errno::EINTR) => continue,
                 Err(Errno::EAGAIN | Errno::ECONNABORTED) => return,
+                Err(Errno::EMFILE) if self.reserve.take().is_some() => {
+                    // Turned away, or it would wake us for ever.
+                    if let Ok(socket) = accept4(self.listener.as_raw_fd(), flags) {
+                        drop(own(socket));
+                    }
+                    self.reserve = File::open("/dev/null").ok();
+                    warn!("turned a process away: there are no descriptors left (ulimit -n)");
+                    continue;
+                }
                 Err(errno) => {
-                    error!("cannot accept a connection: {errno}");
-                    return;
+                    error!("cannot accept a connection: {errno}; trying again in a second");
+                    return self.stop_listening();
                 }
             };
             if self.connections.len() >= CONNECTIONS_MAX {
@@ -48,6 +58,13 @@ impl Broker {
                 Err(errno) => error!("cannot watch a connection: {errno}"),
             }
         }
+    }
+
+    /// Until the doubt timer: an error that stays would wake us for ever.
+    fn stop_listening(&mut self) {
+        let _ = self.epoll.delete(&self.listener);
+        self.is_deaf = true;
+        self.arm_doubt();
     }
 
     /// Takes what a connection has sent, and sends what waits for it.
@@ -106,9 +123,8 @@ impl Broker {
         match request {
             Request::Join(_) => Err(Refusal::OutOfOrder { what: "join".into() }),
             Request::Rejoined => {
-                for key in self.registry.rejoined(peer) {
-                    self.update_counts(&key);
-                }
+                let Estate { advertised, subscribed } = self.registry.rejoined(peer);
+                advertised.iter().chain(&subscribed).for_each(|key| self.update_counts(key));
                 Ok(Reply::Done)
             }
             Request::Advertise(wanted) => self.advertise(peer, wanted),
@@ -135,24 +151,28 @@ impl Broker {
             return Err(Refusal::OutOfOrder { what: "join".into() });
         };
         let (pid, pidfd) = (connection.pid, connection.pidfd());
+        let name = printable(&join.name);
         let peer = match join.rejoin {
             None => {
-                let peer = self.registry.join(pid, join.name.clone())?;
-                if let Err(error) = directory::make_peer_file(&self.system, peer, &join.name) {
+                let peer = self.registry.join(pid, name.clone())?;
+                if let Err(error) = directory::make_peer_file(&self.system, peer, &name) {
                     self.registry.bury(peer);
                     return Err(failed(&error));
                 }
-                debug!("{} (pid {pid}) joins as {peer}", join.name);
+                debug!("{name} (pid {pid}) joins as {peer}");
                 peer
             }
             Some(rejoin) => {
-                let known = rejoin.system_id == self.system_id
-                    && self.registry.rejoin(rejoin.peer, pid, join.name.clone()).is_some();
-                if !known {
+                let peer = rejoin.peer;
+                if rejoin.system_id != self.system_id || !self.registry.is_known(peer) {
                     return Err(Refusal::OtherSystem);
                 }
-                info!("{} (pid {pid}) re-joins as {}", join.name, rejoin.peer);
-                rejoin.peer
+                if !self.registry.rejoin(peer, pid, name.clone()) {
+                    // Its old connection has not been seen to end yet.
+                    return Err(Refusal::OutOfOrder { what: "re-join while connected".into() });
+                }
+                info!("{name} (pid {pid}) re-joins as {peer}");
+                peer
             }
         };
         if let Some(pidfd) = pidfd {
@@ -216,10 +236,7 @@ impl Broker {
         self.connected.remove(&peer);
         self.registry.disconnect(peer);
         drop(connection);
-        match directory::lock_holder(&self.system, peer) {
-            None => self.bury(peer),
-            Some(_) => self.arm_doubt(),
-        }
+        self.bury(peer);
     }
 
     pub(super) fn name_of(&self, number: u32) -> String {
@@ -238,6 +255,12 @@ impl Broker {
             _ => warn!("refused {name}: {refusal}"),
         }
     }
+}
+
+/// A process's name as people are shown it.
+fn printable(name: &str) -> String {
+    let name = &name[..name.floor_char_boundary(PROCESS_NAME_MAX_BYTES)];
+    name.chars().map(|letter| if letter.is_control() { '?' } else { letter }).collect()
 }
 
 #[allow(unsafe_code)]

@@ -4,39 +4,36 @@
 //! holds locked for its lifetime is not locked any more; until then what it
 //! holds stays, for it may be in the middle of a publish.
 
+use std::collections::BTreeMap;
 use std::os::fd::OwnedFd;
 
-use nix::sys::epoll::{EpollEvent, EpollFlags};
 use nix::sys::time::TimeSpec;
 use nix::sys::timerfd::{Expiration, TimerSetTimeFlags};
 use tracing::{debug, error, info, warn};
-use uorb_core::broker_side::{Node, Role};
+use uorb_core::Layout;
+use uorb_core::broker_side::{Ending, Node, Role};
 
 use super::{Broker, Event, ring};
 use crate::connection::pidfd_of;
-use crate::directory::{self, Survivor};
+use crate::directory::{self, Life, Survivor};
 use crate::limits::DOUBT_INTERVAL;
 use crate::registry::{Estate, NodeKey};
 
 impl Broker {
     pub(super) fn watch_process(&mut self, peer: u16, pidfd: OwnedFd) {
-        let event = EpollEvent::new(EpollFlags::EPOLLIN, Event::Death(peer).to_token());
-        if self.epoll.add(&pidfd, event).is_ok() {
+        if self.epoll.add(&pidfd, Event::Death(peer).readable()).is_ok() {
             // Closing the old one takes it out of the epoll instance.
             self.pidfds.insert(peer, pidfd);
         }
     }
 
-    /// A process is dead: frees its slots, gives back what it held, and wakes
-    /// whoever it may have died before waking.
+    /// A process may be dead. If it is: frees its slots, gives back what it
+    /// held, and wakes whoever it may have died before waking.
     pub(super) fn bury(&mut self, peer: u16) {
-        self.pidfds.remove(&peer);
         if !self.registry.is_known(peer) {
             return;
         }
-        if directory::lock_holder(&self.system, peer).is_some() {
-            // Its number is somebody else's by now, or it gave us a descriptor
-            // of another process: its own lock says that it lives.
+        if directory::life_of(&self.system, peer) != Life::Over {
             return self.arm_doubt();
         }
         let name = self.registry.name_of(peer);
@@ -51,6 +48,7 @@ impl Broker {
             }
         }
         subscribed.iter().for_each(|key| self.update_counts(key));
+        self.pidfds.remove(&peer);
         if let Some(number) = self.connected.remove(&peer) {
             self.connections.remove(&number);
         }
@@ -63,17 +61,15 @@ impl Broker {
         }
     }
 
-    /// Processes that live without a connection and of which no pidfd tells.
+    /// Processes that live without a connection: a pidfd tells of the process's
+    /// death, but not of the session's, which a process may end before.
     fn doubtful(&self) -> Vec<u16> {
         let peers = self.registry.peers().into_iter();
-        peers
-            .filter(|peer| !peer.connected && !self.pidfds.contains_key(&peer.peer))
-            .map(|peer| peer.peer)
-            .collect()
+        peers.filter(|peer| !peer.connected).map(|peer| peer.peer).collect()
     }
 
     pub(super) fn arm_doubt(&self) {
-        if !self.doubtful().is_empty() {
+        if self.is_deaf || !self.doubtful().is_empty() {
             let due = TimeSpec::from_duration(DOUBT_INTERVAL);
             let _ = self.doubt.set(Expiration::OneShot(due), TimerSetTimeFlags::empty());
         }
@@ -81,10 +77,11 @@ impl Broker {
 
     pub(super) fn look_at_the_doubtful(&mut self) {
         let _ = self.doubt.unset();
+        if self.is_deaf && self.epoll.add(&self.listener, Event::Connecting.readable()).is_ok() {
+            self.is_deaf = false;
+        }
         for peer in self.doubtful() {
-            if directory::lock_holder(&self.system, peer).is_none() {
-                self.bury(peer);
-            }
+            self.bury(peer);
         }
         self.arm_doubt();
     }
@@ -98,13 +95,18 @@ impl Broker {
                 self.watch_process(peer, pidfd);
             }
         }
+        let mut topics = BTreeMap::<String, Vec<Node>>::new();
         for (topic, instance) in self.system.list_nodes()? {
-            let key = (topic, instance);
-            match Node::open(&self.system, &key.0, instance, Role::Broker) {
-                Ok(node) if node.identity.system_id == self.system_id => self.adopt_node(key, node),
-                Ok(_) => warn!("{}{instance} is of another system: left alone", key.0),
-                Err(error) => error!("cannot adopt {}{instance}: {error}", key.0),
+            match Node::open(&self.system, &topic, instance, Role::Broker) {
+                Ok(node) if node.identity.system_id != self.system_id => {
+                    warn!("{topic}{instance} is of another system: left alone");
+                }
+                Ok(node) => topics.entry(topic).or_default().push(node),
+                Err(error) => error!("cannot adopt {topic}{instance}: {error}"),
             }
+        }
+        for (topic, nodes) in topics {
+            self.adopt_topic(&topic, nodes);
         }
         for peer in directory::listed(&self.system) {
             if !self.registry.is_known(peer) {
@@ -116,12 +118,42 @@ impl Broker {
         for (key, node) in &self.nodes {
             ring(key, node);
         }
-        self.arm_doubt();
+        // Who has died since we looked first, and whose number another process
+        // may have by now.
+        self.doubtful().into_iter().for_each(|peer| self.bury(peer));
         if !self.nodes.is_empty() {
             let peers = self.registry.peers().len();
             info!("adopted {} nodes and {peers} processes", self.nodes.len());
         }
         Ok(())
+    }
+
+    /// Takes over a topic's nodes. They have one layout, unless the broker
+    /// before us died while old nodes gave way to a new one.
+    fn adopt_topic(&mut self, topic: &str, nodes: Vec<Node>) {
+        let is_used = |node: &&Node| {
+            let publishers = node.status().publishers;
+            publishers.iter().any(|publisher| self.registry.is_known(publisher.peer))
+        };
+        let newest = |node: &&Node| {
+            let path = self.system.node(topic, node.identity.instance);
+            path.metadata().and_then(|file| file.modified()).ok()
+        };
+        let standing = || nodes.iter().filter(|node| node.ending().is_none());
+        let chosen = standing().find(is_used).or_else(|| standing().max_by_key(newest));
+        let layout = chosen.map(|node| node.identity.metadata.layout.clone());
+        for node in nodes {
+            let key = (topic.to_string(), node.identity.instance);
+            let matches = |layout: &Layout| layout.matches(&node.identity.metadata.layout);
+            if node.ending().is_none() && layout.as_deref().is_some_and(matches) {
+                self.adopt_node(key, node);
+            } else {
+                info!("{topic}{}: has given way to another layout", key.1);
+                node.end(Ending::GaveWay);
+                let _ = std::fs::remove_file(self.system.node(topic, key.1));
+                let _ = std::fs::remove_file(self.system.bell(topic, key.1));
+            }
+        }
     }
 
     fn adopt_node(&mut self, key: NodeKey, node: Node) {

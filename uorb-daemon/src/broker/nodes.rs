@@ -2,8 +2,8 @@
 
 use tracing::{debug, error, info, warn};
 use uorb_core::broker_side::{
-    Advertise, BrokerStatus, FromBroker, Identity, Node, PublisherEntry, Refusal, Reply, Subscribe,
-    base_of,
+    Advertise, BrokerStatus, Ending, FromBroker, Identity, Node, PublisherEntry, Refusal, Reply,
+    Subscribe, base_of,
 };
 use uorb_core::{Error, Instance, Metadata, QueueLength};
 
@@ -89,7 +89,7 @@ impl Broker {
 
     fn discard(&mut self, key: &NodeKey, has_files: bool) {
         let Some(node) = self.nodes.remove(key) else { return };
-        node.end();
+        node.end(Ending::GaveWay);
         if has_files {
             ring(key, &node);
             let _ = std::fs::remove_file(self.system.node(&key.0, key.1));
