@@ -60,6 +60,7 @@ mod fifo {
     use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
     use std::path::Path;
 
+    use nix::fcntl::{FcntlArg, fcntl};
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
     /// What a FIFO is to hold: rings are drained only when it is full, and a
@@ -92,11 +93,12 @@ mod fifo {
                 let message = format!("{} is not a FIFO", path.display());
                 return Err(io::Error::new(io::ErrorKind::InvalidData, message));
             }
-            // A smaller buffer saves memory, a larger one works as well.
-            let _ = nix::fcntl::fcntl(&fifo, nix::fcntl::FcntlArg::F_SETPIPE_SZ(CAPACITY_BYTES));
             let bell = Self { fifo };
-            // One that has a byte is left in peace: it would wake all sleepers.
+            // A FIFO that has its byte is left in peace: to write it, or only to
+            // set its size, would wake all sleepers.
             if !bell.is_readable() {
+                // A smaller buffer saves memory, a larger one works as well.
+                let _ = fcntl(&bell.fifo, FcntlArg::F_SETPIPE_SZ(CAPACITY_BYTES));
                 bell.ring();
             }
             Ok(bell)

@@ -28,13 +28,19 @@ impl Broker {
                 Err(Errno::EINTR) => continue,
                 Err(Errno::EAGAIN | Errno::ECONNABORTED) => return,
                 Err(Errno::EMFILE) if self.reserve.take().is_some() => {
-                    // Turned away, or it would wake us for ever.
-                    if let Ok(socket) = accept4(self.listener.as_raw_fd(), flags) {
+                    // accept4 asks for a descriptor before it looks whether
+                    // anybody connects, so this says nothing about the queue.
+                    let mut turned_away = 0;
+                    while let Ok(socket) = accept4(self.listener.as_raw_fd(), flags) {
                         drop(own(socket));
+                        turned_away += 1;
                     }
                     self.reserve = File::open("/dev/null").ok();
-                    warn!("turned a process away: there are no descriptors left (ulimit -n)");
-                    continue;
+                    warn!(
+                        "turned {turned_away} processes away: there are no descriptors left \
+                         (ulimit -n)"
+                    );
+                    return;
                 }
                 Err(errno) => {
                     error!("cannot accept a connection: {errno}; trying again in a second");
