@@ -16,7 +16,7 @@ use uorb_core::{
     Publication, QueueLength, RawPublication, RawSubscription, Session, Subscription, System, poll,
     topic,
 };
-use uorb_tests::{Stamped, program};
+use uorb_tests::{PATIENCE, Plain, Stamped, program};
 
 fn main() -> ExitCode {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
@@ -30,7 +30,12 @@ fn main() -> ExitCode {
         ["claim", priority] => claim(number(priority) as u8),
         ["hold-other-layout"] => hold_other_layout(),
         ["follow-name", topic] => follow_name(topic),
+        ["hold-plain-descriptor"] => hold_plain_descriptor(),
+        ["few-descriptors"] => few_descriptors(),
         ["fork-and-hold"] => fork_and_hold(),
+        ["fork-and-drop"] => fork_and_drop(),
+        ["wait-and-hold", count] => wait_and_hold(number(count)),
+        ["hold-and-drop", count] => hold_and_drop(number(count)),
         ["hot-path"] => hot_path(),
         ["fill-small-memory"] => fill_small_memory(),
         other => panic!("no such actor: {other:?}"),
@@ -189,6 +194,42 @@ fn follow_name(topic: &str) -> Result<(), Error> {
     }
 }
 
+/// Opens the descriptor of a subscription to `plain`.
+fn hold_plain_descriptor() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let plain = Subscription::<Plain>::subscribe(&session)?;
+    plain.open_descriptor()?;
+    println!("open");
+    heard();
+    Ok(())
+}
+
+/// Runs out of descriptors, twice: where a subscription asks for its own, and
+/// where a topic that it waited for is there.
+fn few_descriptors() -> Result<(), Error> {
+    use nix::sys::resource::{Resource, getrlimit, setrlimit};
+    let (_, hard) = getrlimit(Resource::RLIMIT_NOFILE).expect("there is a limit");
+    let limit = |soft| setrlimit(Resource::RLIMIT_NOFILE, soft, hard).expect("up to the hard one");
+    let session = Session::connect()?;
+    let subscriptions: Vec<_> =
+        (0..100).filter_map(|_| Subscription::<Stamped>::subscribe(&session).ok()).collect();
+    limit(64);
+    let refused = subscriptions.iter().find_map(|one| one.open_descriptor().err());
+    println!("{}", refused.expect("sixty-four are not enough"));
+    limit(hard);
+
+    let mut waiting = RawSubscription::subscribe(&session, "plain", Instance::FIRST)?;
+    poll(&mut [&mut waiting], Some(Duration::ZERO))?;
+    Publication::<Plain>::advertise(&session)?.publish(&Plain { value: 1 })?;
+    limit(3);
+    let refused = poll(&mut [&mut waiting], Some(PATIENCE));
+    limit(hard);
+    println!("{}", refused.expect_err("it cannot be followed"));
+    assert_eq!(poll(&mut [&mut waiting], Some(PATIENCE))?, 1);
+    println!("followed at last");
+    Ok(())
+}
+
 /// Advertises, forks, and lets parent and child live until they are killed. The
 /// child says what its handles say.
 fn fork_and_hold() -> Result<(), Error> {
@@ -212,6 +253,69 @@ fn fork_and_hold() -> Result<(), Error> {
         println!("child {publish} {advertise} {subscribe} {copies} {wait}");
         println!("{}", std::process::id());
     }
+    heard();
+    Ok(())
+}
+
+/// Forks; the child copies, drops all it has inherited, and ends. Then the
+/// parent goes on with what it has.
+fn fork_and_drop() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Publication::<Stamped>::advertise(&session)?;
+    let mut followed = Subscription::<Stamped>::subscribe(&session)?;
+    followed.open_descriptor()?;
+    stamped.publish(&Stamped::new(7, 1))?;
+    // SAFETY: as in `fork_and_hold`.
+    #[allow(unsafe_code)]
+    let fork = unsafe { nix::unistd::fork() };
+    match fork.expect("a process more") {
+        nix::unistd::ForkResult::Child => {
+            assert!(followed.updated() && followed.copy().is_some());
+            drop((stamped, followed, session));
+            std::process::exit(0);
+        }
+        nix::unistd::ForkResult::Parent { child } => {
+            nix::sys::wait::waitpid(child, None).expect("our child ends");
+        }
+    }
+    let mut ready = [PollFd::new(followed.as_fd(), PollFlags::POLLIN)];
+    let readable = nix::poll::poll(&mut ready, PollTimeout::ZERO).expect("poll(2) works") == 1;
+    let copied = followed.update().is_some();
+    let advertised = Publication::<OtherStamped>::advertise(&session).is_err_and(|error| {
+        // Of another layout, which only the broker can know.
+        matches!(error, Error::LayoutMismatch(_))
+    });
+    println!("readable {readable} copied {copied} answered {advertised}");
+    Ok(())
+}
+
+/// Waits for topic `plain` by name, with so many other subscriptions to name
+/// again after a broker's restart.
+fn wait_and_hold(count: u64) -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut waiting = RawSubscription::subscribe(&session, "plain", Instance::FIRST)?;
+    let _others = (0..count)
+        .map(|_| Subscription::<Stamped>::subscribe(&session))
+        .collect::<Result<Vec<_>, _>>()?;
+    println!("subscribed");
+    while poll(&mut [&mut waiting], Some(PATIENCE))? == 0 {}
+    println!("described");
+    heard();
+    Ok(())
+}
+
+/// Advertises, and holds so many subscriptions that wait for a topic. At `go`
+/// it drops its publication.
+fn hold_and_drop(count: u64) -> Result<(), Error> {
+    let session = Session::connect()?;
+    let stamped = Publication::<Stamped>::advertise(&session)?;
+    let _waiting = (0..count)
+        .map(|_| RawSubscription::subscribe(&session, "plain", Instance::FIRST))
+        .collect::<Result<Vec<_>, _>>()?;
+    println!("ready");
+    heard();
+    drop(stamped);
+    println!("dropped");
     heard();
     Ok(())
 }

@@ -1,9 +1,10 @@
 use std::time::Duration;
 
 use nix::sys::signal::Signal;
-use uorb_core::broker_side::{Node, Role};
+use uorb_core::broker_side::{Ending, Node, Reply, Request, Role};
 use uorb_core::{
-    AdvertiseOptions, Error, Instance, Priority, Publication, QueueLength, Session, poll,
+    AdvertiseOptions, Error, Instance, Priority, Publication, QueueLength, Session, Subscription,
+    poll, topic,
 };
 use uorb_tests::{Bus, PATIENCE, Plain, Stamped, eventually, instance};
 
@@ -239,4 +240,130 @@ fn a_process_that_sleeps_through_its_publisher_s_death_is_woken_by_the_next() {
     let woken = std::thread::spawn(move || poll(&mut [&mut sleeper], Some(PATIENCE)).unwrap());
     publication.publish(&Stamped::new(1, 1)).unwrap();
     assert_eq!(woken.join().unwrap(), 1);
+}
+
+#[test]
+fn a_child_that_drops_what_it_inherited_leaves_its_parent_s_handles_alone() {
+    let bus = Bus::start();
+    let mut actor = bus.spawn(&["fork-and-drop"]);
+    actor.expect("readable true copied true answered true");
+}
+
+#[test]
+fn a_topic_that_is_described_while_a_process_re_joins_is_not_missed() {
+    let mut bus = Bus::start();
+    let mut waiting = bus.spawn(&["wait-and-hold", "3000"]);
+    waiting.expect("subscribed");
+    bus.kill_broker();
+    bus.start_broker();
+    let session = bus.session();
+    let subscriptions_of_others = || {
+        let Ok(Reply::Peers(peers)) = session.ask(Request::Peers) else { panic!("no answer") };
+        let others = peers.iter().filter(|peer| peer.peer != session.peer());
+        others.map(|peer| peer.subscriptions).max().unwrap_or(0)
+    };
+    eventually("it names its handles again", || subscriptions_of_others() > 1);
+    let mut publication = bus.advertise::<Plain>();
+    publication.publish(&Plain { value: 1 }).unwrap();
+    waiting.expect("described");
+}
+
+#[test]
+fn a_publication_that_is_dropped_around_a_cut_off_is_unadvertised() {
+    let mut bus = Bus::start();
+    let mut actor = bus.spawn(&["hold-and-drop", "3000"]);
+    actor.expect("ready");
+    actor.signal(Signal::SIGSTOP);
+    // Three thousand times "it is there now", and it does not read.
+    let _publication = bus.advertise::<Plain>();
+    actor.say("go");
+    actor.signal(Signal::SIGCONT);
+    actor.expect("dropped");
+    eventually("the topic is unadvertised", || !bus.is_advertised("stamped"));
+}
+
+#[test]
+fn a_session_that_ended_while_no_broker_ran_is_buried_though_its_process_lives() {
+    let mut bus = Bus::start();
+    let keeper = Session::connect_to(&bus.system).unwrap();
+    let session = Session::connect_to(&bus.system).unwrap();
+    let publication = Publication::<Plain>::advertise(&session).unwrap();
+    bus.kill_broker();
+    drop((publication, session));
+    bus.start_broker();
+    eventually("it is unadvertised", || !keeper.exists("plain", Instance::FIRST).unwrap());
+}
+
+#[test]
+fn when_its_directory_is_removed_the_system_ends_for_everybody() {
+    let mut bus = Bus::start();
+    let mut publication = bus.advertise::<Plain>();
+    let mut sleeper = bus.subscribe::<Plain>();
+    // It has its bell open, which is lost to everybody else with its path.
+    poll(&mut [&mut sleeper], Some(Duration::from_millis(1))).unwrap();
+    let asleep = std::thread::spawn(move || poll(&mut [&mut sleeper], None));
+    std::fs::remove_dir_all(bus.system.dir()).unwrap();
+    let ended = asleep.join().unwrap();
+    assert!(matches!(ended, Err(Error::Ended { .. })), "{ended:?}");
+    assert!(matches!(publication.publish(&Plain { value: 1 }), Err(Error::Ended { .. })));
+}
+
+#[test]
+fn a_broker_whose_directory_was_removed_leaves_the_next_one_s_alone() {
+    let mut bus = Bus::start();
+    let session = bus.session();
+    let first = nix::unistd::Pid::from_raw(bus.broker_pid() as i32);
+    nix::sys::signal::kill(first, Signal::SIGSTOP).unwrap();
+    std::fs::remove_dir_all(bus.system.dir()).unwrap();
+    let (second, line) = bus.try_start_broker();
+    assert_eq!(line, "ready");
+    nix::sys::signal::kill(first, Signal::SIGCONT).unwrap();
+    eventually("the old session ends", || session.has_ended());
+    bus.kill_broker();
+    bus.adopt_broker(second);
+    assert!(Session::connect_to(&bus.system).is_ok());
+    assert!(bus.system.lock().exists());
+}
+
+#[test]
+fn a_broker_that_was_killed_while_it_ended_the_system_does_not_revive_it() {
+    let mut bus = Bus::start();
+    let mut publication = bus.advertise::<Plain>();
+    let session = bus.session();
+    bus.kill_broker();
+    let node = Node::open(&bus.system, "plain", Instance::FIRST, Role::Broker).unwrap();
+    node.end(Ending::System);
+    bus.start_broker();
+    eventually("its sessions end", || session.has_ended());
+    assert!(matches!(publication.publish(&Plain { value: 1 }), Err(Error::Ended { .. })));
+    let fresh = Session::connect_to(&bus.system).unwrap();
+    Publication::<Plain>::advertise(&fresh).unwrap().publish(&Plain { value: 1 }).unwrap();
+}
+
+#[test]
+fn a_broker_that_was_killed_while_nodes_gave_way_leaves_one_layout_in_the_topic() {
+    let mut bus = Bus::start();
+    let keeper = bus.session();
+    let second = bus.system.node("plain", instance(1));
+    let old = {
+        let _old = [bus.advertise_multi::<Plain>(), bus.advertise_multi::<Plain>()];
+        std::fs::read(&second).unwrap()
+    };
+    let mut new = Publication::<WidePlain>::advertise(&keeper).unwrap();
+    assert!(!second.exists());
+    bus.kill_broker();
+    // As it was before the last of the old ones went.
+    std::fs::write(&second, old).unwrap();
+    bus.start_broker();
+    new.publish(&WidePlain { values: [3; 4] }).unwrap();
+    let mut subscription =
+        Subscription::<WidePlain>::subscribe_instance(&keeper, instance(1)).unwrap();
+    assert_eq!(subscription.copy(), None);
+    let mut subscription = Subscription::<WidePlain>::subscribe(&keeper).unwrap();
+    assert_eq!(subscription.copy(), Some(WidePlain { values: [3; 4] }));
+}
+
+topic! {
+    /// Topic `plain` of another size.
+    pub struct WidePlain = "plain" { pub values: [u64; 4] }
 }

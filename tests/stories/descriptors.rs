@@ -257,13 +257,53 @@ fn ten_thousand_subscriptions_follow_one_node() {
 
 #[test]
 fn a_process_without_descriptors_is_told_so() {
-    use nix::sys::resource::{Resource, getrlimit, setrlimit};
+    let bus = Bus::start();
+    let mut actor = bus.spawn(&["few-descriptors"]);
+    let line = actor.line().expect("sixty-four are not enough");
+    assert!(line.contains("ulimit -n") && line.contains("64"), "{line}");
+    let line = actor.line().expect("a topic that is there and cannot be followed is an error");
+    assert!(line.contains("ulimit -n"), "{line}");
+    actor.expect("followed at last");
+}
+
+#[test]
+fn a_stray_ring_does_not_keep_a_descriptor_readable() {
     let mut bus = Bus::start();
-    let subscriptions: Vec<_> = (0..100).map(|_| bus.subscribe::<Plain>()).collect();
-    let (_, hard) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
-    setrlimit(Resource::RLIMIT_NOFILE, 64, hard).unwrap();
-    let refused = subscriptions.iter().find_map(|one| one.open_descriptor().err());
-    setrlimit(Resource::RLIMIT_NOFILE, hard, hard).unwrap();
-    let text = refused.expect("sixty-four are not enough").to_string();
-    assert!(text.contains("ulimit -n") && text.contains("64"), "{text}");
+    let _publication = bus.advertise::<Plain>();
+    let mut subscription = bus.subscribe::<Plain>();
+    subscription.open_descriptor().unwrap();
+    let node = uorb_core::broker_side::Node::open(
+        &bus.system,
+        "plain",
+        uorb_core::Instance::FIRST,
+        uorb_core::broker_side::Role::Broker,
+    );
+    node.unwrap().ring_bell().unwrap();
+    assert!(is_readable(&subscription, PollTimeout::ZERO));
+    // As PX4's programs do: copy, without a look.
+    assert_eq!(subscription.copy(), None, "nothing was ever published");
+    assert!(!is_readable(&subscription, PollTimeout::ZERO));
+}
+
+#[test]
+fn a_newcomer_s_descriptor_wakes_nobody_else() {
+    let mut bus = Bus::start();
+    let _publication = bus.advertise::<Plain>();
+    let sleeper = bus.subscribe::<Plain>();
+    sleeper.open_descriptor().unwrap();
+    assert!(!is_readable(&sleeper, PollTimeout::ZERO));
+    for _ in 0..3 {
+        let mut newcomer = bus.spawn(&["follow-by-descriptor"]);
+        let mut other = bus.spawn(&["hold-plain-descriptor"]);
+        newcomer.expect("subscribed");
+        other.expect("open");
+        assert!(!is_readable(&sleeper, PollTimeout::ZERO));
+    }
+}
+
+#[test]
+fn poll_without_subscriptions_sleeps() {
+    let start = Instant::now();
+    assert_eq!(poll(&mut [], Some(Duration::from_millis(20))).unwrap(), 0);
+    assert!(start.elapsed() >= Duration::from_millis(20));
 }

@@ -93,3 +93,56 @@ fn a_name_that_cannot_be_a_topic_s_is_refused() {
         assert!(matches!(refused, Err(Error::Refused(_))), "{name:?}: {refused:?}");
     }
 }
+
+#[test]
+fn what_was_published_after_a_waiting_subscription_is_all_there() {
+    use uorb_core::{AdvertiseOptions, QueueLength};
+    let mut bus = Bus::start();
+    let mut waiting = bus.subscribe_by_name("plain");
+    let queue_length = QueueLength::new(8);
+    let options = AdvertiseOptions { queue_length, ..AdvertiseOptions::default() };
+    let mut publication = Publication::<Plain>::advertise_with(&bus.session(), options).unwrap();
+    (1..=5).for_each(|value| _ = publication.publish(&Plain { value }).unwrap());
+    assert_eq!(poll(&mut [&mut waiting], Some(PATIENCE)).unwrap(), 1);
+    let (mut copied, mut message) = (Vec::new(), Vec::new());
+    while waiting.updated() && waiting.copy(&mut message) {
+        copied.push(message[0]);
+    }
+    assert_eq!((&copied[..], waiting.lost()), (&[1, 2, 3, 4, 5][..], 0));
+}
+
+#[test]
+fn two_layouts_in_turn_on_one_session_never_meet() {
+    topic! {
+        /// Topic `plain` of another size.
+        pub struct WidePlain = "plain" { pub values: [u64; 4] }
+    }
+    fn in_turn<T: uorb_core::Topic>(session: uorb_core::Session) {
+        let mut granted = 0;
+        while granted < 300 {
+            // The other thread's turn is a mismatch.
+            let Ok(mut subscription) = Subscription::<T>::subscribe(&session) else { continue };
+            let layout = &subscription.metadata().unwrap().layout;
+            assert_eq!(layout.size_bytes as usize, size_of::<T::Message>());
+            assert!(!subscription.has_ended());
+            granted += 1;
+        }
+    }
+    let mut bus = Bus::start();
+    let (session, other) = (bus.session(), bus.session());
+    let thread = std::thread::spawn(move || in_turn::<Plain>(other));
+    in_turn::<WidePlain>(session);
+    thread.join().unwrap();
+}
+
+#[test]
+fn a_subscription_that_was_swapped_for_another_s_copies_nothing() {
+    let mut bus = Bus::start();
+    let mut publication = bus.advertise::<Plain>();
+    publication.publish(&Plain { value: 7 }).unwrap();
+    let mut plain = bus.subscribe::<Plain>();
+    let mut stamped = bus.subscribe::<Stamped>();
+    let (one, other): (&mut RawSubscription, &mut RawSubscription) = (&mut plain, &mut stamped);
+    std::mem::swap(one, other);
+    assert!(stamped.copy().is_none(), "four bytes are no message of two hundred and fifty-six");
+}

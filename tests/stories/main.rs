@@ -18,3 +18,5 @@ mod layouts;
 mod model;
 /// Directories, limits and leftovers.
 mod places;
+/// Processes that the broker cannot trust, and a broker in need.
+mod strangers;
