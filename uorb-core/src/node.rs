@@ -285,7 +285,7 @@ impl Node {
     }
 
     /// Copies what a subscription at `cursor` is to see next.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn take(
         &self,
         cursor: u64,

@@ -196,7 +196,7 @@ impl RawSubscription {
 
     /// Copies the next message into a buffer of the layout's size. True means
     /// that all of it was written.
-    #[inline]
+    #[inline(always)]
     fn take_into(&mut self, into: &mut [MaybeUninit<u8>]) -> bool {
         let Some(node) = &self.node else { return false };
         let taken = match node.take(self.cursor, into) {
