@@ -2,6 +2,8 @@
 
 /// One publisher, one subscriber, and what they may expect of each other.
 mod basics;
+/// `uorb start`, `stop` and `status`.
+mod command;
 /// Several processes on one node.
 mod crowds;
 /// Processes that die, brokers that die, systems that end.
