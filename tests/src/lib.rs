@@ -399,6 +399,12 @@ impl Actor {
         kill(Pid::from_raw(self.child.id() as i32), signal).expect("it lives");
     }
 
+    /// Stops it, until it gets SIGCONT.
+    pub fn stop(&self) {
+        self.signal(Signal::SIGSTOP);
+        eventually("it has stopped", || state(self.child.id()) == Some('T'));
+    }
+
     /// Ends it with SIGKILL.
     pub fn kill(&mut self) {
         self.child.kill().expect("it can be killed");
@@ -459,9 +465,14 @@ pub fn program(name: &str) -> PathBuf {
 /// Whether a process of this id runs. One that has ended and that nobody has
 /// waited for does not.
 pub fn is_running(pid: u32) -> bool {
-    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    state(pid).is_some_and(|state| state != 'Z')
+}
+
+/// The state of a process in one letter, as proc(5) has it.
+fn state(pid: u32) -> Option<char> {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     // 4711 (uorbd) S 1 ..., and the name may have anything in it.
-    stat.rsplit(") ").next().is_some_and(|state| !state.is_empty() && !state.starts_with('Z'))
+    stat.rsplit(") ").next()?.chars().next()
 }
 
 /// Looks again and again until `is_so`: for what the broker does after an event

@@ -16,7 +16,13 @@ mod hot_path;
 mod instances;
 /// Layouts that do not match, topics that nobody has described yet.
 mod layouts;
+/// `uorb listener`.
+mod listening;
 /// A node does what a model of it in plain Rust does.
 mod model;
 /// Directories, limits and leftovers.
 mod places;
+/// `uorb pub`, `info` and `ls`.
+mod publishing;
+/// `uorb test`.
+mod unit_tests;
