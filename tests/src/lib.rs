@@ -357,7 +357,11 @@ impl Actor {
     /// Says a line to it.
     pub fn say(&mut self, line: &str) {
         let stdin = self.stdin.as_mut().expect("its input is open");
-        writeln!(stdin, "{line}").expect("it reads");
+        // In one write: it may act on half a line and be gone before the rest.
+        if stdin.write_all(format!("{line}\n").as_bytes()).is_err() {
+            let said: Vec<_> = std::iter::from_fn(|| self.line()).collect();
+            panic!("it has ended and said {said:?}");
+        }
     }
 
     /// Reads its output no more, as `head` does that has seen enough.

@@ -49,6 +49,8 @@ Examples:
   uorb pub orb_test val=5                 publish one
   uorb info sensor_accel                  fields, publishers, subscribers
   uorb ls /obj                            list the nodes, as `ls /obj` does
+  uorb top                                watch how much is published, and lost
+  uorb replay flight.ulg --speed 4        publish a flight log
   uorb stop                               stop the broker
 
 `uorb help COMMAND` has more, with examples.

@@ -25,7 +25,7 @@ use uorb_core::{
 };
 
 use self::contents::Contents;
-use self::log::{Ending, Message, Series, Told, read};
+use self::log::{Ending, Fault, Message, Series, Told, read};
 use self::pace::Speed;
 use self::record::Source;
 use crate::context::Context;
@@ -117,7 +117,10 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
         replay.close(start.elapsed(), is_interrupted, out)?;
         out.flush()?;
     }
-    ended?;
+    ended.map_err(|error| match error.is::<Fault>() {
+        true => error.context(file.to_string()),
+        false => error,
+    })?;
     match contents.ending {
         Ok(Ending::Whole) => Ok(()),
         Ok(Ending::CutOff { at_byte }) => {

@@ -14,10 +14,12 @@ use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
+use clap_complete::engine::ArgValueCandidates;
 use uorb_core::Error;
 
 use self::model::{Selection, Update};
 use self::nodes::Nodes;
+use crate::completions::topic_names;
 use crate::context::Context;
 use crate::exit::Early;
 use crate::interrupt::Interrupt;
@@ -42,7 +44,7 @@ pub(crate) struct Args {
     json: bool,
 
     /// Only topics with this in their name; implies -a
-    #[arg(value_name = "FILTER")]
+    #[arg(value_name = "FILTER", add = ArgValueCandidates::new(topic_names))]
     filters: Vec<String>,
 }
 

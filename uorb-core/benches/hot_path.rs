@@ -15,7 +15,7 @@ use uorb_core::{Publication, Session, Subscription, System, Topic, now_us, topic
 
 macro_rules! sizes {
     ($($Message:ident = $name:literal, $bytes:literal;)*) => {
-        $(topic! { pub struct $Message = $name { pub words: [u64; $bytes / 8] } })*
+        $(topic! { pub struct $Message = $name { words: [u64; $bytes / 8] } })*
 
         fn all_sizes(criterion: &mut Criterion) {
             let bus = Bus::start();

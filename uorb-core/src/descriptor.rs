@@ -23,8 +23,8 @@ use nix::sys::timerfd::{ClockId, Expiration, TimerFd, TimerFlags, TimerSetTimeFl
 
 use crate::bell::Bell;
 use crate::error::Error;
+use crate::link::Waiting;
 use crate::node::Node;
-use crate::session::Waiting;
 
 /// The epoll instance, and what is registered in it.
 #[derive(Debug)]

@@ -234,6 +234,20 @@ impl Layout {
         text
     }
 
+    /// The messages that it contains, at any depth, each once.
+    pub fn nested(&self) -> Vec<&Layout> {
+        let mut all: Vec<&Layout> = Vec::new();
+        for field in self.fields.iter() {
+            let FieldType::Message(nested) = &field.ty else { continue };
+            for layout in std::iter::once(&**nested).chain(nested.nested()) {
+                if !all.iter().any(|known| known.name == layout.name) {
+                    all.push(layout);
+                }
+            }
+        }
+        all
+    }
+
     /// All scalars and arrays of scalars in memory order, those of nested
     /// messages included.
     pub fn flatten(&self) -> Vec<FlatField> {
@@ -492,6 +506,20 @@ mod tests {
                 ("esc[1].rpm".to_string(), 16)
             ]
         );
+    }
+
+    #[test]
+    fn a_mismatch_shows_what_differs_inside_a_nested_message() {
+        let with = |name| {
+            let inner = layout("inner", 4, vec![field(name, FieldType::Int32, None, 0)]);
+            let nested = FieldType::Message(Cow::Owned(inner));
+            layout("outer", 8, vec![field("inner", nested, Some(2), 0)])
+        };
+        let (ours, theirs) = (with("rpm"), with("rps"));
+        assert!(!ours.matches(&theirs));
+        let (topic, users) = ("outer".to_string(), vec!["logger (pid 7)".to_string()]);
+        let text = crate::protocol::Mismatch { topic, ours, theirs, users }.to_string();
+        assert!(text.contains("inner: int32_t rpm;") && text.contains("inner: int32_t rps;"));
     }
 
     #[test]

@@ -59,6 +59,8 @@ mod interval;
 #[cfg(not(loom))]
 mod layout;
 #[cfg(not(loom))]
+mod link;
+#[cfg(not(loom))]
 mod mapping;
 #[cfg(not(loom))]
 mod node;

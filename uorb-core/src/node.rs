@@ -184,18 +184,19 @@ impl Node {
         })
     }
 
-    /// The ring, if the node has one yet: mapped on first sight.
+    /// The ring, if the node has one yet. That it cannot be mapped is what
+    /// `check` tells.
     #[inline]
-    fn mapped_ring(&self) -> Result<Option<&MappedRing>, Error> {
-        match self.ring.get() {
-            Some(ring) => Ok(Some(ring)),
-            None => self.map_ring(),
-        }
+    fn ring(&self) -> Option<&MappedRing> {
+        self.ring.get().or_else(|| self.mapped_ring().ok()?)
     }
 
-    /// Not inlined: once in the life of a handle.
+    /// The ring, mapped on first sight: once in the life of a handle.
     #[cold]
-    fn map_ring(&self) -> Result<Option<&MappedRing>, Error> {
+    fn mapped_ring(&self) -> Result<Option<&MappedRing>, Error> {
+        if let Some(ring) = self.ring.get() {
+            return Ok(Some(ring));
+        }
         // Pairs with the broker's store in `admit`: whoever sees a length also
         // sees the ring that was formatted for it.
         let length = self.counts.words()[counts::QUEUE_LENGTH].load(Ordering::SeqCst);
@@ -269,7 +270,7 @@ impl Node {
     /// Whether anything newer than `cursor` was published.
     #[inline]
     pub(crate) fn has_newer(&self, cursor: u64) -> bool {
-        matches!(self.mapped_ring(), Ok(Some(mapped)) if mapped.ring.has_newer(cursor))
+        self.ring().is_some_and(|mapped| mapped.ring.has_newer(cursor))
     }
 
     /// Copies what a subscription at `cursor` is to see next.
@@ -279,7 +280,7 @@ impl Node {
         cursor: u64,
         into: &mut [MaybeUninit<u8>],
     ) -> Result<Option<Taken>, Corrupt> {
-        let Ok(Some(mapped)) = self.mapped_ring() else { return Ok(None) };
+        let Some(mapped) = self.ring() else { return Ok(None) };
         mapped.ring.take(cursor, into)
     }
 
@@ -298,23 +299,20 @@ impl Node {
     /// is pending, if there is one.
     pub(crate) fn cursor_of_newcomer(&self) -> u64 {
         let base = self.identity.base;
-        match self.mapped_ring() {
-            Ok(Some(mapped)) if !mapped.ring.is_empty() => mapped.ring.newest_of_all() - 1,
+        match self.ring() {
+            Some(mapped) if !mapped.ring.is_empty() => mapped.ring.newest_of_all() - 1,
             _ => base,
         }
     }
 
     /// The newest generation; the base where nothing was ever published.
     pub(crate) fn newest(&self, known: u64) -> u64 {
-        match self.mapped_ring() {
-            Ok(Some(mapped)) => mapped.ring.newest(known),
-            _ => self.identity.base,
-        }
+        self.ring().map_or(self.identity.base, |mapped| mapped.ring.newest(known))
     }
 
     /// When the newest message was published, and by whom.
     pub(crate) fn newest_stamp(&self) -> Option<Stamp> {
-        let mapped = self.mapped_ring().ok()??;
+        let mapped = self.ring()?;
         mapped.ring.newest_stamp(mapped.ring.newest_of_all()).ok()?
     }
 
@@ -356,8 +354,7 @@ impl Node {
     /// What everybody may know of the node now.
     pub fn status(&self) -> NodeStatus {
         let base = self.identity.base;
-        let ring = self.mapped_ring().ok().flatten();
-        let newest = ring.map_or(base, |mapped| mapped.ring.newest_of_all());
+        let newest = self.ring().map_or(base, |mapped| mapped.ring.newest_of_all());
         NodeStatus {
             published: newest - base,
             lost: self.doorbell.words()[doorbell::LOST].load(Ordering::Relaxed),
@@ -447,7 +444,7 @@ impl Node {
             allocate(file, file_bytes, self.name().as_ref())?;
             self.ring_in(file, queue_length, file_bytes)?.ring.format();
         }
-        // Pairs with the load in `map_ring`.
+        // Pairs with the load in `mapped_ring`.
         self.counts.words()[counts::QUEUE_LENGTH]
             .store(queue_length.get().into(), Ordering::SeqCst);
         Ok(())
@@ -467,7 +464,7 @@ impl Node {
 
     /// Gives back the slots of a peer that is proven dead.
     pub fn free_slots_of(&self, peer: u16) {
-        if let Ok(Some(mapped)) = self.mapped_ring() {
+        if let Some(mapped) = self.ring() {
             mapped.ring.free_slots_of(peer);
         }
     }

@@ -336,19 +336,20 @@ pub struct Mismatch {
 
 impl fmt::Display for Mismatch {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let line = |layout: &Layout| match layout.is_untyped() {
-            true => format!("{} bytes, no field list", layout.size_bytes),
-            false => format!(
-                "hash {:#010x}, {} bytes: {}",
-                layout.message_hash,
-                layout.size_bytes,
-                layout.o_fields()
-            ),
-        };
         writeln!(f, "topic {} is in use with another layout", self.topic)?;
-        writeln!(f, "  this program: {}", line(&self.ours))?;
-        writeln!(f, "  in use:       {}", line(&self.theirs))?;
-        writeln!(f, "  used by:      {}", self.users.join(", "))?;
+        for (whose, layout) in [("this program", &self.ours), ("in use", &self.theirs)] {
+            let (hash, bytes) = (layout.message_hash, layout.size_bytes);
+            if layout.is_untyped() {
+                writeln!(f, "  {whose}: {bytes} bytes, no field list")?;
+                continue;
+            }
+            writeln!(f, "  {whose}: hash {hash:#010x}, {bytes} bytes: {}", layout.o_fields())?;
+            // The difference may be inside a message that both contain.
+            for nested in layout.nested() {
+                writeln!(f, "    {}: {}", nested.name, nested.o_fields())?;
+            }
+        }
+        writeln!(f, "  used by: {}", self.users.join(", "))?;
         write!(f, "  rebuild one of the two, or stop the other before this one starts")
     }
 }

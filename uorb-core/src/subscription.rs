@@ -33,10 +33,11 @@ use crate::descriptor::Descriptor;
 use crate::error::Error;
 use crate::generation::Generation;
 use crate::interval::Pace;
+use crate::link::Waiting;
 use crate::node::{Node, Role};
 use crate::protocol::Subject;
 use crate::ring::Taken;
-use crate::session::{Followed, Session, Waiting};
+use crate::session::{Followed, Session};
 use crate::topic::{Instance, Metadata, Priority, Topic};
 
 /// A subscription to a topic whose layout is known at run time only. What it

@@ -468,3 +468,192 @@ impl Topic {
 }
 
 const _: () = assert!(INSTANCES_MAX > 0 && PEERS_MAX < u16::MAX as usize);
+
+#[cfg(test)]
+mod tests {
+    use std::borrow::Cow;
+
+    use uorb_core::{Field, FieldType, QueueLength};
+
+    use super::*;
+
+    fn metadata(name: &'static str, field: &'static str) -> Metadata {
+        let field = Field {
+            name: Cow::Borrowed(field),
+            ty: FieldType::Uint32,
+            array_length: None,
+            offset_bytes: 0,
+            unit: Cow::Borrowed(""),
+        };
+        let layout = Layout {
+            name: Cow::Borrowed(name),
+            size_bytes: 4,
+            message_hash: 0,
+            fields: Cow::Owned(vec![field]),
+        };
+        Metadata {
+            name: Cow::Borrowed(name),
+            layout: Cow::Owned(layout),
+            queue_length: QueueLength::ONE,
+        }
+    }
+
+    fn advertise(handle: u32, claim: Claim) -> Advertise {
+        let (metadata, priority) = (metadata("accel", "x"), Priority::DEFAULT);
+        Advertise { handle, metadata, claim, priority, queue_length: None }
+    }
+
+    fn by_name(handle: u32, name: &str) -> Subscribe {
+        let subject = Subject::Named(name.into());
+        Subscribe { handle, subject, instance: Instance::FIRST }
+    }
+
+    fn described(handle: u32, metadata: Metadata) -> Subscribe {
+        Subscribe { handle, subject: Subject::Described(metadata), instance: Instance::FIRST }
+    }
+
+    /// What the broker does with a plan, without the files.
+    fn grant(registry: &mut Registry, peer: u16, wanted: &Advertise) -> Result<u8, Refusal> {
+        let plan = registry.plan_advertise(peer, wanted)?;
+        let key = (wanted.metadata.name.to_string(), plan.instance);
+        if !plan.give_way.is_empty() {
+            registry.remove_topic(&key.0);
+        }
+        if let Some(metadata) = plan.create {
+            registry.add_node(metadata, plan.instance);
+        }
+        let entry = PublisherEntry { peer, handle: wanted.handle, priority: wanted.priority };
+        registry.add_publisher(&key, entry);
+        Ok(plan.instance.number())
+    }
+
+    fn registry(peers: u16) -> Registry {
+        let mut registry = Registry::default();
+        for number in 1..=peers {
+            assert_eq!(registry.join(100, format!("process{number}")), Ok(number));
+        }
+        registry
+    }
+
+    const FIRST: Claim = Claim::Shared(Instance::FIRST);
+
+    #[test]
+    fn a_claim_that_is_asked_for_twice_is_granted_once() {
+        let mut registry = registry(1);
+        let claim = advertise(7, Claim::Lowest);
+        assert_eq!(grant(&mut registry, 1, &claim), Ok(0));
+        assert_eq!(grant(&mut registry, 1, &claim), Ok(0), "the answer was lost");
+        assert_eq!(registry.counts(&("accel".into(), Instance::FIRST)).0.len(), 1);
+        assert_eq!(grant(&mut registry, 1, &advertise(8, Claim::Lowest)), Ok(1));
+    }
+
+    #[test]
+    fn a_plan_changes_nothing() {
+        let registry = registry(1);
+        for _ in 0..2 {
+            let plan = registry.plan_advertise(1, &advertise(7, Claim::Lowest)).unwrap();
+            assert_eq!(plan.instance, Instance::FIRST);
+            assert!(plan.create.is_some());
+        }
+        assert_eq!(registry.node_count(), 0);
+    }
+
+    #[test]
+    fn the_dead_leave_what_they_advertised_and_subscribed() {
+        let mut registry = registry(2);
+        let key = ("accel".to_string(), Instance::FIRST);
+        grant(&mut registry, 1, &advertise(7, FIRST)).unwrap();
+        grant(&mut registry, 2, &advertise(7, FIRST)).unwrap();
+        registry.add_subscriber(&key, 1, 8);
+        registry.add_subscriber(&key, 1, 9);
+        registry.add_waiting(1, &by_name(10, "gyro"));
+
+        let estate = registry.bury(1);
+
+        assert_eq!(estate.advertised, [key.clone()]);
+        assert_eq!(estate.subscribed, [key.clone()]);
+        let (publishers, subscribers) = registry.counts(&key);
+        assert_eq!(publishers.iter().map(|entry| entry.peer).collect::<Vec<_>>(), [2]);
+        assert_eq!(subscribers, 0);
+        assert_eq!(registry.take_waiting("gyro"), []);
+        assert_eq!(registry.bury(1), Estate::default(), "nobody dies twice");
+    }
+
+    #[test]
+    fn a_layout_gives_way_when_its_last_user_is_gone() {
+        let mut registry = registry(2);
+        grant(&mut registry, 1, &advertise(7, Claim::Lowest)).unwrap();
+        grant(&mut registry, 1, &advertise(8, Claim::Lowest)).unwrap();
+        let other = described(1, metadata("accel", "y"));
+        let Err(Refusal::LayoutMismatch(mismatch)) = registry.plan_subscribe(2, &other) else {
+            panic!("a live layout was given away");
+        };
+        assert_eq!(mismatch.users, ["process1 (pid 100)"]);
+
+        registry.release(1, 7);
+        assert!(registry.plan_subscribe(2, &other).is_err(), "the topic's other node is in use");
+        registry.release(1, 8);
+
+        let Ok(SubscribePlan::Node(plan)) = registry.plan_subscribe(2, &other) else {
+            panic!("nobody uses it any more");
+        };
+        assert_eq!(plan.give_way.len(), 2);
+    }
+
+    #[test]
+    fn whoever_has_not_re_joined_may_use_any_layout() {
+        let mut registry = Registry::default();
+        registry.adopt_peer(5, 100, "sleeper".into());
+        registry.adopt_node(metadata("accel", "x"), Instance::FIRST, Vec::new());
+        let new = registry.join(101, "newcomer".into()).unwrap();
+        assert_eq!(new, 6, "numbers of the living are not given again");
+        let other = described(1, metadata("accel", "y"));
+        assert!(registry.plan_subscribe(new, &other).is_err());
+
+        assert_eq!(registry.rejoin(5, 100, "sleeper".into()), Some(()));
+        assert!(registry.plan_subscribe(new, &other).is_err(), "it has not named its handles yet");
+        registry.rejoined(5);
+
+        assert!(registry.plan_subscribe(new, &other).is_ok());
+        assert_eq!(registry.rejoin(5, 100, "impostor".into()), None, "it is connected");
+    }
+
+    #[test]
+    fn handles_that_a_process_does_not_name_again_are_dropped() {
+        let mut registry = Registry::default();
+        registry.adopt_peer(5, 100, "sensors".into());
+        let entry = |handle| PublisherEntry { peer: 5, handle, priority: Priority::DEFAULT };
+        let both = vec![entry(1), entry(2)];
+        registry.adopt_node(metadata("accel", "x"), Instance::FIRST, both);
+        registry.rejoin(5, 100, "sensors".into());
+        assert_eq!(grant(&mut registry, 5, &advertise(2, FIRST)), Ok(0));
+
+        let key = ("accel".to_string(), Instance::FIRST);
+        assert_eq!(registry.rejoined(5), [key.clone()]);
+
+        let handles: Vec<_> = registry.counts(&key).0.iter().map(|entry| entry.handle).collect();
+        assert_eq!(handles, [2]);
+    }
+
+    #[test]
+    fn limits_name_themselves() {
+        let mut registry = registry(1);
+        for handle in 0..u32::from(INSTANCES_MAX) {
+            grant(&mut registry, 1, &advertise(handle, Claim::Lowest)).unwrap();
+        }
+        let eleventh = registry.plan_advertise(1, &advertise(10, Claim::Lowest));
+        assert_eq!(eleventh, Err(Refusal::InstancesTaken { topic: "accel".into() }));
+        for handle in 100..100 + PUBLISHERS_MAX - 1 {
+            grant(&mut registry, 1, &advertise(handle, FIRST)).unwrap();
+        }
+        let seventeenth = registry.plan_advertise(1, &advertise(200, FIRST));
+        assert!(matches!(seventeenth, Err(Refusal::PublishersTaken { limit: 16, .. })));
+        for handle in registry.peers()[0].publications..HANDLES_MAX as u32 {
+            registry.add_waiting(1, &by_name(1_000 + handle, "gyro"));
+        }
+        let many = registry.plan_subscribe(1, &by_name(999, "gyro"));
+        assert!(matches!(many, Err(Refusal::Limit { limit: 65_536, .. })));
+        let bad = registry.plan_subscribe(1, &by_name(999, "../gyro"));
+        assert!(matches!(bad, Err(Refusal::BadName { .. })));
+    }
+}

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use anyhow::Context as _;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
@@ -17,6 +18,8 @@ use super::nodes::Nodes;
 
 /// How long a signal may go unnoticed.
 const LOOK_AGAIN: Duration = Duration::from_millis(200);
+
+const KEYS: &str = "cannot read the keys";
 
 /// Everything that is on the screen.
 #[derive(Debug)]
@@ -47,9 +50,10 @@ pub(super) enum Key {
 pub(super) fn show(nodes: &mut Nodes, selection: Selection) -> anyhow::Result<()> {
     let signal = Arc::new(AtomicUsize::new(0));
     for number in [SIGHUP, SIGINT, SIGTERM] {
-        signal_hook::flag::register_usize(number, signal.clone(), number as usize)?;
+        signal_hook::flag::register_usize(number, signal.clone(), number as usize)
+            .context("cannot catch signals")?;
     }
-    let mut terminal = ratatui::try_init()?;
+    let mut terminal = ratatui::try_init().context("cannot draw on this terminal")?;
     let ended = follow(&mut terminal, nodes, selection, &signal);
     ratatui::restore();
     ended?;
@@ -74,8 +78,8 @@ fn follow(
     loop {
         terminal.draw(|frame| draw(frame, &mut view))?;
         let rest = next.saturating_duration_since(Instant::now());
-        if event::poll(rest.min(LOOK_AGAIN))? {
-            if let Event::Key(key) = event::read()?
+        if event::poll(rest.min(LOOK_AGAIN)).context(KEYS)? {
+            if let Event::Key(key) = event::read().context(KEYS)?
                 && view.press(key) == Key::Quit
             {
                 return Ok(());

@@ -1,0 +1,158 @@
+//! Nodes: how they come to be, who uses them, and when they give way.
+
+use tracing::{debug, error, info, warn};
+use uorb_core::broker_side::{
+    Advertise, BrokerStatus, FromBroker, Identity, Node, PublisherEntry, Refusal, Reply, Subscribe,
+    base_of,
+};
+use uorb_core::{Error, Instance, Metadata, QueueLength};
+
+use super::{Broker, ring};
+use crate::registry::{NodeKey, Plan, SubscribePlan};
+
+impl Broker {
+    pub(super) fn advertise(&mut self, peer: u16, wanted: Advertise) -> Result<Reply, Refusal> {
+        let plan = self.registry.plan_advertise(peer, &wanted)?;
+        let Advertise { handle, metadata, priority, queue_length, .. } = wanted;
+        let key = (metadata.name.to_string(), plan.instance);
+        self.carry_out(plan, &key)?;
+        let asked_for = queue_length.unwrap_or(QueueLength::ONE).max(metadata.queue_length);
+        if let Some(node) = self.nodes.get(&key) {
+            node.make_ring(asked_for).map_err(|error| refusal_of(&error))?;
+            let granted = node.queue_length().unwrap_or(QueueLength::ONE);
+            if queue_length.is_some_and(|asked_for| asked_for > granted) {
+                let name = self.registry.name_of(peer);
+                warn!(
+                    "{}{}: {name} asks for a queue of {}, its first publisher had {}",
+                    key.0,
+                    key.1,
+                    asked_for.get(),
+                    granted.get(),
+                );
+            }
+        }
+        self.registry.add_publisher(&key, PublisherEntry { peer, handle, priority });
+        self.update_counts(&key);
+        Ok(Reply::Advertised(key.1))
+    }
+
+    pub(super) fn subscribe(&mut self, peer: u16, wanted: &Subscribe) -> Result<Reply, Refusal> {
+        match self.registry.plan_subscribe(peer, wanted)? {
+            SubscribePlan::Wait => {
+                self.registry.add_waiting(peer, wanted);
+                Ok(Reply::Waiting)
+            }
+            SubscribePlan::Node(plan) => {
+                let key = (wanted.subject.name().to_string(), wanted.instance);
+                self.carry_out(plan, &key)?;
+                self.registry.add_subscriber(&key, peer, wanted.handle);
+                self.update_counts(&key);
+                Ok(Reply::Subscribed)
+            }
+        }
+    }
+
+    /// Makes the node that a plan needs. Only when it is made do the nodes of
+    /// another layout go.
+    fn carry_out(&mut self, plan: Plan, key: &NodeKey) -> Result<(), Refusal> {
+        let Some(metadata) = plan.create else { return Ok(()) };
+        let node = self.make_node(&metadata, key.1)?;
+        if !plan.give_way.is_empty() {
+            info!(
+                "{}: nobody uses the old layout any more, its {} nodes give way",
+                key.0,
+                plan.give_way.len()
+            );
+            for old in &plan.give_way {
+                self.discard(old, old != key);
+            }
+            self.registry.remove_topic(&key.0);
+        }
+        self.registry.add_node(metadata.clone(), key.1);
+        self.nodes.insert(key.clone(), node);
+        self.update_counts(key);
+        self.tell_waiting(&metadata);
+        Ok(())
+    }
+
+    fn make_node(&self, metadata: &Metadata, instance: Instance) -> Result<Node, Refusal> {
+        let identity = Identity {
+            system_id: self.system_id,
+            boot_id: self.boot_id,
+            instance,
+            base: base_of(&metadata.name, metadata.queue_length),
+            metadata: metadata.clone(),
+        };
+        debug!("makes {}{instance}", metadata.name);
+        Node::create(&self.system, identity).map_err(|error| refusal_of(&error))
+    }
+
+    fn discard(&mut self, key: &NodeKey, has_files: bool) {
+        let Some(node) = self.nodes.remove(key) else { return };
+        node.end();
+        if has_files {
+            ring(key, &node);
+            let _ = std::fs::remove_file(self.system.node(&key.0, key.1));
+            let _ = std::fs::remove_file(self.system.bell(&key.0, key.1));
+        }
+    }
+
+    /// A topic is described now: subscriptions by name get their nodes.
+    fn tell_waiting(&mut self, metadata: &Metadata) {
+        for (peer, handle, instance) in self.registry.take_waiting(&metadata.name) {
+            let key = (metadata.name.to_string(), instance);
+            if !self.nodes.contains_key(&key) {
+                match self.make_node(metadata, instance) {
+                    Ok(node) => {
+                        self.registry.add_node(metadata.clone(), instance);
+                        self.nodes.insert(key.clone(), node);
+                    }
+                    Err(refusal) => {
+                        error!("{}{instance} cannot be made: {refusal}", metadata.name);
+                        continue;
+                    }
+                }
+            }
+            self.registry.add_subscriber(&key, peer, handle);
+            self.update_counts(&key);
+            if let Some(number) = self.connected.get(&peer) {
+                self.send(*number, &FromBroker::Described { handle });
+            }
+        }
+    }
+
+    /// Writes into a node who publishes and how many subscribe.
+    pub(super) fn update_counts(&self, key: &NodeKey) {
+        if let Some(node) = self.nodes.get(key) {
+            let (publishers, subscribers) = self.registry.counts(key);
+            node.set_counts(publishers, subscribers);
+        }
+    }
+
+    pub(super) fn status(&self) -> BrokerStatus {
+        BrokerStatus {
+            version: env!("CARGO_PKG_VERSION").into(),
+            pid: std::process::id(),
+            started_us: self.started_us,
+            system_id: self.system_id,
+            peers: self.connected.len() as u32,
+            topics: self.registry.topic_count() as u32,
+            nodes: self.registry.node_count() as u32,
+            advertised: self.registry.advertised_count() as u32,
+        }
+    }
+}
+
+/// What the client library could not do, as an answer to a process.
+fn refusal_of(error: &Error) -> Refusal {
+    match error {
+        Error::NoSpace { path, needed_bytes } => {
+            Refusal::NoSpace { path: path.clone(), needed_bytes: *needed_bytes }
+        }
+        other => failed(other),
+    }
+}
+
+pub(super) fn failed(error: &dyn std::fmt::Display) -> Refusal {
+    Refusal::Failed { what: error.to_string() }
+}
