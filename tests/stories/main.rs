@@ -10,6 +10,8 @@ mod crowds;
 mod deaths;
 /// A subscription is a file descriptor: poll(2), epoll, tokio, intervals.
 mod descriptors;
+/// Real flight logs.
+mod flight_logs;
 /// What publish and copy never do.
 mod hot_path;
 /// Instances: who gets which.
@@ -24,5 +26,7 @@ mod model;
 mod places;
 /// `uorb pub`, `info` and `ls`.
 mod publishing;
+/// `uorb replay`.
+mod replay;
 /// `uorb test`.
 mod unit_tests;
