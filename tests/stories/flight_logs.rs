@@ -110,6 +110,12 @@ impl FlightLog {
         self.series.iter().find(|series| series.topic == topic && series.instance == instance)
     }
 
+    /// From the first message of its fastest topic to the last.
+    pub(crate) fn length_us(&self) -> u64 {
+        let fastest = &self.series[self.fastest()];
+        fastest.timestamp_us(fastest.count() - 1) - fastest.timestamp_us(0)
+    }
+
     /// The series with the most messages.
     pub(crate) fn fastest(&self) -> usize {
         let count = |number: &usize| self.series[*number].count();

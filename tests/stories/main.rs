@@ -28,5 +28,7 @@ mod places;
 mod publishing;
 /// `uorb replay`.
 mod replay;
+/// `uorb top`.
+mod top;
 /// `uorb test`.
 mod unit_tests;
