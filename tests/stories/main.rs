@@ -22,6 +22,8 @@ mod layouts;
 mod listening;
 /// A node does what a model of it in plain Rust does.
 mod model;
+/// The modules and `scripts/rc.sensors`.
+mod modules;
 /// Directories, limits and leftovers.
 mod places;
 /// `uorb pub`, `info` and `ls`.
