@@ -34,6 +34,7 @@
 //! `protocol.rs`, and then the broker.
 #![deny(missing_docs)]
 #![deny(unsafe_code)]
+#![cfg_attr(loom, allow(dead_code))]
 
 // The derives that `topic!` writes name this crate by its outside name.
 extern crate self as uorb_core;
@@ -63,6 +64,8 @@ mod link;
 #[cfg(not(loom))]
 mod mapping;
 #[cfg(not(loom))]
+mod message_hash;
+#[cfg(not(loom))]
 mod node;
 #[cfg(not(loom))]
 mod node_file;
@@ -88,9 +91,8 @@ pub use self::{
     clock::now_us,
     error::Error,
     generation::Generation,
-    layout::{
-        Field, FieldType, FlatField, Layout, LayoutFault, MESSAGE_SIZE_MAX_BYTES, message_hash,
-    },
+    layout::{Field, FieldType, FlatField, Layout, LayoutFault, MESSAGE_SIZE_MAX_BYTES},
+    message_hash::message_hash,
     poll::poll,
     protocol::{Claim, Mismatch, PeerInfo, Refusal},
     publication::{AdvertiseOptions, Publication, RawPublication},

@@ -10,10 +10,12 @@
 
 #![allow(unsafe_code)]
 
+mod making;
+
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::mem::MaybeUninit;
-use std::os::unix::fs::{FileExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -21,11 +23,13 @@ use crate::bell::{self, Bell};
 use crate::clock::now_us;
 use crate::error::Error;
 use crate::mapping::{Access, Mapping, page_bytes};
-use crate::node_file::{FIRST_BASE, Identity, Sections, counts, doorbell, ring_section};
+use crate::node_file::{Identity, Sections, counts, doorbell, ring_section};
 use crate::ring::{Busy, Corrupt, PUBLISHERS_MAX, Ring, Stamp, Taken, Writer};
 use crate::sync::{AtomicU64, Ordering};
 use crate::system::System;
 use crate::topic::{Instance, Priority, QueueLength};
+
+pub use making::base_of;
 
 /// What a process does with a node, and so what it may write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -385,123 +389,5 @@ impl Node {
         let bell = self.open_bell()?;
         bells.push(bell.clone());
         Ok(bell)
-    }
-}
-
-/// What only the broker does with a node.
-impl Node {
-    /// Makes the files of a node, bell first, complete before they have their
-    /// names, and with all the memory that they will ever take.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::NoSpace`], with the sum, where shared memory is full.
-    pub fn create(system: &System, identity: Identity) -> Result<Self, Error> {
-        let (topic, instance) = (&identity.metadata.name, identity.instance);
-        let (path, bell_path) = (system.node(topic, instance), system.bell(topic, instance));
-        let unfinished = system.unfinished().join(format!("{topic}{instance}"));
-        let _ = std::fs::remove_file(&unfinished);
-
-        let (bytes, sections) = identity.to_bytes()?;
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create_new(true)
-            .mode(0o600)
-            .custom_flags(libc::O_CLOEXEC)
-            .open(&unfinished)
-            .map_err(|error| Error::io("make", &unfinished, error))?;
-        let file_bytes = identity.file_bytes(sections, identity.metadata.queue_length);
-        let made = allocate(&file, file_bytes, &path).and_then(|()| {
-            file.write_all_at(&bytes, 0).map_err(|error| Error::io("write", &path, error))?;
-            let _ = std::fs::remove_file(&bell_path);
-            nix::unistd::mkfifo(&bell_path, nix::sys::stat::Mode::from_bits_truncate(0o600))
-                .map_err(|errno| Error::io("make the bell", &bell_path, errno.into()))?;
-            std::fs::rename(&unfinished, &path).map_err(|error| Error::io("name", &path, error))
-        });
-        if let Err(error) = made {
-            let _ = std::fs::remove_file(&unfinished);
-            return Err(error);
-        }
-        Self::map(system, identity, sections, file, Role::Broker)
-    }
-
-    /// Gives the node its ring, with at least the queue length asked for. The
-    /// first publisher's asking decides; later ones find the ring as it is.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::NoSpace`] where a longer queue does not fit.
-    pub fn make_ring(&self, queue_length: QueueLength) -> Result<(), Error> {
-        if self.queue_length().is_some() {
-            return Ok(());
-        }
-        let queue_length = queue_length.max(self.identity.metadata.queue_length);
-        let file_bytes = self.identity.file_bytes(self.sections, queue_length);
-        {
-            let file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-            let file = file.as_ref().expect("kept until the ring is mapped");
-            allocate(file, file_bytes, self.name().as_ref())?;
-            self.ring_in(file, queue_length, file_bytes)?.ring.format();
-        }
-        // Pairs with the load in `mapped_ring`.
-        self.counts.words()[counts::QUEUE_LENGTH]
-            .store(queue_length.get().into(), Ordering::SeqCst);
-        Ok(())
-    }
-
-    /// Writes who publishes and how many subscribe.
-    pub fn set_counts(&self, publishers: &[PublisherEntry], subscribers: u64) {
-        let words = self.counts.words();
-        let entries = &words[counts::ENTRIES..][..PUBLISHERS_MAX as usize];
-        for (index, word) in entries.iter().enumerate() {
-            let entry = publishers.get(index).map_or(0, |entry| entry.to_word());
-            word.store(entry, Ordering::Release);
-        }
-        words[counts::SUBSCRIBERS].store(subscribers, Ordering::Release);
-        words[counts::PUBLISHERS].store(publishers.len() as u64, Ordering::Release);
-    }
-
-    /// Gives back the slots of a peer that is proven dead.
-    pub fn free_slots_of(&self, peer: u16) {
-        if let Some(mapped) = self.ring() {
-            mapped.ring.free_slots_of(peer);
-        }
-    }
-
-    /// Marks the node as ended: handles of it say so.
-    pub fn end(&self) {
-        self.counts.words()[counts::ENDED].store(1, Ordering::SeqCst);
-    }
-
-    /// Wakes every subscription that sleeps on the node.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Io`] where the bell cannot be opened.
-    pub fn ring_bell(&self) -> Result<(), Error> {
-        self.open_bell().map(|bell| bell.ring())
-    }
-}
-
-/// Takes the memory of a whole file now, so that a full /dev/shm is an error
-/// here and never a SIGBUS in a publish.
-fn allocate(file: &File, size_bytes: usize, path: &std::path::Path) -> Result<(), Error> {
-    use nix::fcntl::{FallocateFlags, fallocate};
-    match fallocate(file, FallocateFlags::empty(), 0, size_bytes as i64) {
-        Ok(()) => Ok(()),
-        Err(nix::errno::Errno::ENOSPC) => {
-            Err(Error::NoSpace { path: path.into(), needed_bytes: size_bytes as u64 })
-        }
-        Err(errno) => Err(Error::io("take memory for", path, errno.into())),
-    }
-}
-
-/// The base of a new node's generations. Nodes of PX4's own test topic start
-/// near the wrap of 32 bits, for which its test needs a hook.
-pub fn base_of(topic: &str, queue_length: QueueLength) -> u64 {
-    match topic {
-        "orb_test_medium_wrap_around" => (2 << 32) - u64::from(queue_length.get()) / 2,
-        _ => FIRST_BASE,
     }
 }

@@ -7,22 +7,17 @@
 //!
 //! It is a real file descriptor too (`AsFd`), for poll(2), epoll, tokio and
 //! mio: readable while there is something to copy. One that never asks for its
-//! descriptor pays nothing for it. What holds of the descriptor:
-//!
-//! * Readable is a hint, [`RawSubscription::updated`] decides.
-//! * Copy until nothing is new before you wait again: edge-triggered epoll,
-//!   tokio's among them, reports a descriptor that stays readable only once.
-//! * One handle, one waiter: of two threads that wait on it, or on a duplicate
-//!   of the descriptor, either may take the other's wake.
+//! descriptor pays nothing for it. `subscription/readable.rs` says what holds of
+//! the descriptor.
 
 #![allow(unsafe_code)]
+
+mod readable;
 
 use std::fmt;
 use std::marker::PhantomData;
 use std::mem::MaybeUninit;
 use std::ops::{Deref, DerefMut};
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd, RawFd};
-use std::sync::atomic::Ordering;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -222,61 +217,6 @@ impl RawSubscription {
         true
     }
 
-    /// Makes a descriptor that somebody holds readable exactly if there is
-    /// something to copy. Called whenever that may have changed by our doing.
-    fn settle(&self) {
-        let (Some(descriptor), Some(node)) = (self.descriptor.get(), &self.node) else { return };
-        if !descriptor.is_public.load(Ordering::Relaxed) {
-            return;
-        }
-        if let Some(pace) = self.pace
-            && now_us() < pace.due_us()
-        {
-            // The timer says when to look again, whatever is published.
-            descriptor.consume();
-            if descriptor.mute_until(pace.due_us()).is_ok() {
-                return;
-            }
-        }
-        if descriptor.is_muted() {
-            descriptor.stop_timer();
-            descriptor.hear_bell();
-        }
-        if node.has_newer(self.cursor) {
-            return;
-        }
-        descriptor.consume();
-        if descriptor.ask(node, self.cursor) {
-            // It came in between, and its ring may have been consumed.
-            descriptor.hear_bell();
-        }
-    }
-
-    /// Makes the descriptor, so that `as_fd` cannot fail later.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::NoDescriptors`] where the process has none left.
-    pub fn open_descriptor(&self) -> Result<(), Error> {
-        let descriptor = self.descriptor()?;
-        if !descriptor.is_public.swap(true, Ordering::Relaxed) {
-            // What `poll` has consumed until now is readable again.
-            descriptor.hear_bell();
-            self.settle();
-        }
-        Ok(())
-    }
-
-    pub(crate) fn descriptor(&self) -> Result<&Descriptor, Error> {
-        if let Some(descriptor) = self.descriptor.get() {
-            return Ok(descriptor);
-        }
-        let made = Descriptor::new(self.node.as_deref(), self.waiting.as_deref());
-        // The bell goes with its system: then that is what there is to say.
-        let made = made.or_else(|error| self.check().and(Err(error)))?;
-        Ok(self.descriptor.get_or_init(|| made))
-    }
-
     /// What hinders it from ever being updated: the session is not this
     /// process's or has ended, or the node is broken.
     pub(crate) fn check(&self) -> Result<(), Error> {
@@ -295,12 +235,6 @@ impl RawSubscription {
     /// When the interval ends, if one is running.
     pub(crate) fn hold_off_until_us(&self) -> Option<u64> {
         self.pace.map(|pace| pace.due_us()).filter(|due_us| now_us() < *due_us)
-    }
-
-    /// Asks to be woken. True: there is something new already.
-    pub(crate) fn ask(&self) -> Result<bool, Error> {
-        let descriptor = self.descriptor()?;
-        Ok(self.node.as_ref().is_some_and(|node| descriptor.ask(node, self.cursor)))
     }
 
     /// Shows at most one update in this time; zero: all of them.
@@ -375,27 +309,6 @@ impl RawSubscription {
     pub fn metadata(&mut self) -> Option<&Metadata> {
         let _ = self.attach();
         self.node.as_ref().map(|node| &node.identity.metadata)
-    }
-}
-
-impl AsFd for RawSubscription {
-    /// The descriptor that is readable while there is something to copy.
-    ///
-    /// # Panics
-    ///
-    /// If the process has no descriptors left. Call
-    /// [`RawSubscription::open_descriptor`] first to have that as an error.
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        match self.open_descriptor().and_then(|()| self.descriptor()) {
-            Ok(descriptor) => descriptor.as_fd(),
-            Err(error) => panic!("{error}"),
-        }
-    }
-}
-
-impl AsRawFd for RawSubscription {
-    fn as_raw_fd(&self) -> RawFd {
-        self.as_fd().as_raw_fd()
     }
 }
 
@@ -489,18 +402,6 @@ impl<T: Topic> Deref for Subscription<T> {
 impl<T: Topic> DerefMut for Subscription<T> {
     fn deref_mut(&mut self) -> &mut RawSubscription {
         &mut self.raw
-    }
-}
-
-impl<T: Topic> AsFd for Subscription<T> {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.raw.as_fd()
-    }
-}
-
-impl<T: Topic> AsRawFd for Subscription<T> {
-    fn as_raw_fd(&self) -> RawFd {
-        self.raw.as_raw_fd()
     }
 }
 
