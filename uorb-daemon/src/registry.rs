@@ -570,8 +570,8 @@ mod tests {
 
         let estate = registry.bury(1);
 
-        assert_eq!(estate.advertised, [key.clone()]);
-        assert_eq!(estate.subscribed, [key.clone()]);
+        assert_eq!(estate.advertised, std::slice::from_ref(&key));
+        assert_eq!(estate.subscribed, std::slice::from_ref(&key));
         let (publishers, subscribers) = registry.counts(&key);
         assert_eq!(publishers.iter().map(|entry| entry.peer).collect::<Vec<_>>(), [2]);
         assert_eq!(subscribers, 0);
@@ -629,7 +629,7 @@ mod tests {
         assert_eq!(grant(&mut registry, 5, &advertise(2, FIRST)), Ok(0));
 
         let key = ("accel".to_string(), Instance::FIRST);
-        assert_eq!(registry.rejoined(5), [key.clone()]);
+        assert_eq!(registry.rejoined(5), std::slice::from_ref(&key));
 
         let handles: Vec<_> = registry.counts(&key).0.iter().map(|entry| entry.handle).collect();
         assert_eq!(handles, [2]);
