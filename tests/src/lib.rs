@@ -345,11 +345,13 @@ impl Actor {
     #[track_caller]
     pub fn until(&mut self, words: &[&str]) -> String {
         let mut seen = Vec::new();
+        let deadline = Instant::now() + PATIENCE;
         while let Some(line) = self.line() {
             if words.iter().all(|word| line.contains(word)) {
                 return line;
             }
             seen.push(line);
+            assert!(Instant::now() < deadline, "it goes on without a line of {words:?}: {seen:?}");
         }
         panic!("it ended without a line of {words:?}: {seen:?}");
     }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use uorb_core::zerocopy::{FromBytes, IntoBytes};
@@ -11,7 +11,7 @@ use uorb_core::{
     Field, FieldType, Instance, Layout, Message, RawSubscription, Subscription, message_hash, poll,
 };
 use uorb_msg::{SensorAccel, SensorCombined, SensorGyro, VehicleAttitude};
-use uorb_tests::{Actor, Bus, PATIENCE, eventually};
+use uorb_tests::{Actor, Bus, PATIENCE, eventually, program};
 
 use crate::flight_logs::{FlightLog, Recording, Series, logs};
 
@@ -301,6 +301,35 @@ fn topics_and_instances_can_be_picked() {
         assert_eq!(second.counts, counts(log, |series| series.instance == 1));
         bus.uorb(&["replay", log.name(), "--topic", "sensr_*"]).failed(&["sensr_*", log.name()]);
     }
+}
+
+#[test]
+fn the_first_seconds_can_be_left_out_and_the_rest_go_faster() {
+    let bus = Bus::start();
+    let mut recording = Recording::begin(0);
+    recording.describe(SensorAccel::LAYOUT);
+    let id = recording.announce("sensor_accel", 0);
+    for second in 10..20 {
+        let accel = SensorAccel { timestamp: second * 1_000_000, ..Default::default() };
+        recording.message(id, SensorAccel::LAYOUT, accel.as_bytes());
+    }
+    let path = save(&bus, "ten-seconds.ulg", &recording);
+    let arguments =
+        ["replay", path.to_str().unwrap(), "--start", "2.5", "--speed", "1000", "--json"];
+    let Closing { line, counts } = closing(&bus.uorb(&arguments).fine());
+    assert_eq!(counts.values().sum::<u64>(), 7, "those of the seconds 3 to 9");
+    assert_eq!(line["log_seconds"], 6.5);
+}
+
+#[test]
+fn a_log_may_come_through_a_pipe() {
+    let Some(log) = logs().first() else { return };
+    let bus = Bus::start();
+    let mut command = bus.command(Path::new("sh"));
+    let script = "cat \"$1\" | \"$0\" replay /dev/stdin --speed max --json";
+    command.args(["-c", script]).arg(program("uorb")).arg(&log.path);
+    let ended = Actor::spawn(command).end();
+    assert_eq!(closing(&ended.fine()).counts, counts(log, |_| true));
 }
 
 #[test]
