@@ -391,8 +391,14 @@ fn fill_small_memory() -> Result<(), Error> {
     let mut line = String::new();
     let stdout = broker.stdout.as_mut().expect("piped");
     BufReader::new(stdout).read_line(&mut line).expect("a line");
+    let filled = fill(&system);
+    broker.kill().expect("it can be killed");
+    broker.wait().expect("it is our child");
     assert_eq!(line, "ready\n");
+    filled
+}
 
+fn fill(system: &System) -> Result<(), Error> {
     let session = Session::connect()?;
     let mut publications = Vec::new();
     let refused = loop {
@@ -417,7 +423,5 @@ fn fill_small_memory() -> Result<(), Error> {
     let unfinished = std::fs::read_dir(system.unfinished()).expect("it is there").count();
     drop(Publication::<Stamped>::advertise(&session));
     println!("{} topics, {unfinished} unfinished", publications.len());
-    broker.kill().expect("it can be killed");
-    broker.wait().expect("it is our child");
     Ok(())
 }

@@ -1,18 +1,20 @@
 //! The fixture of all whole-bus stories: a bus of one's own.
 //!
 //! A [`Bus`] is a private directory, a broker process in it, and the processes
-//! that a story spawns. Dropping it ends them all by process id and removes the
-//! directory. Stories wait for lines that processes print and for what the bus
-//! says, never for time to pass.
+//! that a story spawns. Dropping it ends them all by process id, those too that
+//! went into the background, and removes the directory. Stories wait for lines
+//! that processes print and for what the bus says, never for time to pass.
 
 use std::fs;
-use std::io::{BufRead, BufReader, Write};
-use std::os::fd::{AsRawFd, OwnedFd};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::fd::{AsFd, AsRawFd, OwnedFd};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use nix::poll::{PollFd, PollFlags, PollTimeout};
 use nix::sys::signal::{Signal, kill};
 use nix::sys::socket::{
     AddressFamily, MsgFlags, SockFlag, SockType, UnixAddr, connect, recv, send, socket,
@@ -189,16 +191,45 @@ impl Bus {
 
     /// Spawns one of our programs on this bus, its output piped.
     pub fn spawn_program(&self, program: &Path, arguments: &[&str]) -> Actor {
-        let mut child = self
-            .command(program)
-            .args(arguments)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap_or_else(|error| panic!("{} does not start: {error}", program.display()));
-        let stdin = child.stdin.take();
-        let stdout = BufReader::new(child.stdout.take().expect("piped"));
-        Actor { child, stdin, stdout }
+        let mut command = self.command(program);
+        command.args(arguments);
+        Actor::spawn(command)
+    }
+
+    /// Spawns the `uorb` command on this bus.
+    pub fn spawn_uorb(&self, arguments: &[&str]) -> Actor {
+        self.spawn_heard("uorb", arguments)
+    }
+
+    /// Spawns one of our programs on this bus, what it says on stderr piped, too.
+    pub fn spawn_heard(&self, name: &str, arguments: &[&str]) -> Actor {
+        let mut command = self.command(&program(name));
+        command.args(arguments).stderr(Stdio::piped());
+        Actor::spawn(command)
+    }
+
+    /// Runs the `uorb` command on this bus to its end.
+    pub fn uorb(&self, arguments: &[&str]) -> Ended {
+        self.spawn_uorb(arguments).end()
+    }
+
+    /// Starts the broker as `uorb start` does: in the background, as nobody's
+    /// child. Returns its process id.
+    pub fn start_by_command(&self) -> u32 {
+        let started = self.uorb(&["start"]);
+        assert_eq!(started.code, 0, "{}", started.words);
+        self.running_broker().expect("it is ready")
+    }
+
+    /// The process that has the broker's lock.
+    pub fn running_broker(&self) -> Option<u32> {
+        lock_holder(&self.system.lock())
+    }
+
+    /// The processes that are on this bus, whoever has started them.
+    pub fn processes(&self) -> Vec<u32> {
+        let peers = fs::read_dir(self.system.peers()).into_iter().flatten();
+        peers.filter_map(|peer| lock_holder(&peer.ok()?.path())).collect()
     }
 
     /// A command with this bus in its environment.
@@ -216,7 +247,57 @@ impl Drop for Bus {
             let _ = broker.kill();
             let _ = broker.wait();
         }
+        // Whoever is left went into the background. The directory is ours alone,
+        // and so are they.
+        let ours = std::process::id();
+        for pid in self.running_broker().into_iter().chain(self.processes()) {
+            if pid != ours {
+                let _ = kill(Pid::from_raw(pid as i32), Signal::SIGKILL);
+            }
+        }
         let _ = fs::remove_dir_all(&self.base);
+    }
+}
+
+/// The process that has a record lock on this file. Read in /proc: to open the
+/// file and close it again would let go of a lock that this process has on it.
+fn lock_holder(path: &Path) -> Option<u32> {
+    let inode = fs::metadata(path).ok()?.ino().to_string();
+    let locks = fs::read_to_string("/proc/locks").ok()?;
+    locks.lines().find_map(|line| {
+        // 1: POSIX  ADVISORY  WRITE 4711 00:18:12345 0 EOF
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let &[_, "POSIX", _, "WRITE", pid, file, ..] = &words[..] else { return None };
+        (file.rsplit(':').next() == Some(&*inode)).then(|| pid.parse().ok())?
+    })
+}
+
+/// How a command has ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// Its exit code.
+    pub code: i32,
+    /// What it has printed since.
+    pub out: String,
+    /// What it has said on stderr since.
+    pub words: String,
+}
+
+impl Ended {
+    /// Checks that it went well, and returns what it printed.
+    #[track_caller]
+    pub fn fine(self) -> String {
+        assert_eq!((self.code, &*self.words), (0, ""), "{}", self.out);
+        self.out
+    }
+
+    /// Checks that it failed, printed nothing, and said all of this.
+    #[track_caller]
+    pub fn failed(&self, words: &[&str]) {
+        assert_eq!((self.code, &*self.out), (1, ""), "{}", self.words);
+        for expected in words {
+            assert!(self.words.contains(expected), "no {expected:?} in: {}", self.words);
+        }
     }
 }
 
@@ -225,20 +306,60 @@ impl Drop for Bus {
 pub struct Actor {
     child: Child,
     stdin: Option<ChildStdin>,
-    stdout: BufReader<ChildStdout>,
+    stdout: Option<BufReader<ChildStdout>>,
+    stderr: Option<BufReader<ChildStderr>>,
 }
 
 impl Actor {
+    /// Spawns a command with its input and its output piped. What it says on
+    /// stderr is heard if that was piped, too.
+    pub fn spawn(mut command: Command) -> Self {
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));
+        let stdin = child.stdin.take();
+        let stdout = child.stdout.take().map(BufReader::new);
+        let stderr = child.stderr.take().map(BufReader::new);
+        Self { child, stdin, stdout, stderr }
+    }
+
     /// The next line it prints. None at its end.
     pub fn line(&mut self) -> Option<String> {
-        let mut line = String::new();
-        let length = self.stdout.read_line(&mut line).expect("the pipe can be read");
-        (length > 0).then(|| line.trim_end().to_string())
+        next_line(self.stdout.as_mut().expect("its output is open"))
+    }
+
+    /// The next line it says on stderr. None at its end.
+    pub fn word(&mut self) -> Option<String> {
+        next_line(self.stderr.as_mut().expect("its stderr is piped"))
     }
 
     /// Waits for a line.
+    #[track_caller]
     pub fn expect(&mut self, expected: &str) {
         assert_eq!(self.line().as_deref(), Some(expected));
+    }
+
+    /// Waits for these lines.
+    #[track_caller]
+    pub fn expect_all(&mut self, expected: &str) {
+        expected.lines().for_each(|line| self.expect(line));
+    }
+
+    /// Reads on until a line has all of this in it, and returns it.
+    #[track_caller]
+    pub fn until(&mut self, words: &[&str]) -> String {
+        let mut seen = Vec::new();
+        let deadline = Instant::now() + PATIENCE;
+        while let Some(line) = self.line() {
+            if words.iter().all(|word| line.contains(word)) {
+                return line;
+            }
+            seen.push(line);
+            assert!(Instant::now() < deadline, "it goes on without a line of {words:?}: {seen:?}");
+        }
+        panic!("it ended without a line of {words:?}: {seen:?}");
     }
 
     /// Says a line to it.
@@ -251,6 +372,11 @@ impl Actor {
         }
     }
 
+    /// Reads its output no more, as `head` does that has seen enough.
+    pub fn stop_reading(&mut self) {
+        self.stdout = None;
+    }
+
     /// Closes its input, waits for its end, and returns what it printed since.
     pub fn finish(&mut self) -> Vec<String> {
         self.stdin = None;
@@ -258,6 +384,21 @@ impl Actor {
         let status = self.child.wait().expect("it is our child");
         assert!(status.success(), "an actor failed: {status}");
         lines
+    }
+
+    /// Waits for its end, however that is.
+    pub fn end(&mut self) -> Ended {
+        let out = self.stdout.as_mut().map(rest).unwrap_or_default();
+        let words = self.stderr.as_mut().map(rest).unwrap_or_default();
+        let status = self.child.wait().expect("it is our child");
+        let code = status.code().unwrap_or_else(|| panic!("it was killed: {status}"));
+        Ended { code, out, words }
+    }
+
+    /// Presses Ctrl-C, and waits for its end.
+    pub fn interrupt(&mut self) -> Ended {
+        self.signal(Signal::SIGINT);
+        self.end()
     }
 
     /// Its process id.
@@ -268,6 +409,12 @@ impl Actor {
     /// Sends it a signal.
     pub fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.child.id() as i32), signal).expect("it lives");
+    }
+
+    /// Stops it, until it gets SIGCONT.
+    pub fn stop(&self) {
+        self.signal(Signal::SIGSTOP);
+        eventually("it has stopped", || state(self.child.id()) == Some('T'));
     }
 
     /// Ends it with SIGKILL.
@@ -329,6 +476,36 @@ impl Stranger {
     }
 }
 
+/// The next line of a pipe. None at its end.
+fn next_line<P: Read + AsFd>(pipe: &mut BufReader<P>) -> Option<String> {
+    let mut line = String::new();
+    wait_for(pipe);
+    let length = pipe.read_line(&mut line).expect("the pipe can be read");
+    (length > 0).then(|| line.trim_end().to_string())
+}
+
+/// All lines of a pipe, up to its end.
+fn rest<P: Read + AsFd>(pipe: &mut BufReader<P>) -> String {
+    let mut lines = String::new();
+    loop {
+        wait_for(pipe);
+        if pipe.read_line(&mut lines).expect("the pipe can be read") == 0 {
+            return lines;
+        }
+    }
+}
+
+/// Waits until there is something to read, but not for ever.
+fn wait_for<P: Read + AsFd>(pipe: &BufReader<P>) {
+    if pipe.buffer().contains(&b'\n') {
+        return;
+    }
+    let timeout = PollTimeout::try_from(PATIENCE).expect("it is not that long");
+    let mut ready = [PollFd::new(pipe.get_ref().as_fd(), PollFlags::POLLIN)];
+    let ready = nix::poll::poll(&mut ready, timeout).expect("the pipe can be polled");
+    assert!(ready > 0, "it says nothing");
+}
+
 /// The instance of this number.
 pub fn instance(number: u8) -> Instance {
     Instance::new(number).expect("0 to 9")
@@ -340,6 +517,19 @@ pub fn program(name: &str) -> PathBuf {
     // target/debug/deps/stories-0123 or target/debug/actor
     let built = test.ancestors().map(|dir| dir.join(name)).find(|path| path.is_file());
     built.unwrap_or_else(|| panic!("{name} is not built: run `cargo build --workspace` first"))
+}
+
+/// Whether a process of this id runs. One that has ended and that nobody has
+/// waited for does not.
+pub fn is_running(pid: u32) -> bool {
+    state(pid).is_some_and(|state| state != 'Z')
+}
+
+/// The state of a process in one letter, as proc(5) has it.
+fn state(pid: u32) -> Option<char> {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // 4711 (uorbd) S 1 ..., and the name may have anything in it.
+    stat.rsplit(") ").next()?.chars().next()
 }
 
 /// Looks again and again until `is_so`: for what the broker does after an event

@@ -105,8 +105,11 @@ fn a_broker_that_is_killed_under_load_costs_no_message() {
     assert!(!bus.is_advertised("plain"), "what was advertised before can be unadvertised after");
 }
 
-/// Publishers, priorities and subscribers of every node.
-fn counts(bus: &Bus) -> Vec<(String, Instance, Vec<(u16, Priority)>, u64)> {
+/// Who publishes on a node with which priority, and how many subscribe to it.
+type NodeCounts = (String, Instance, Vec<(u16, Priority)>, u64);
+
+/// The counts of every node.
+fn counts(bus: &Bus) -> Vec<NodeCounts> {
     let nodes = bus.system.list_nodes().unwrap().into_iter();
     nodes
         .map(|(topic, instance)| {

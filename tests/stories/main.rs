@@ -2,21 +2,37 @@
 
 /// One publisher, one subscriber, and what they may expect of each other.
 mod basics;
+/// `uorb start`, `stop` and `status`.
+mod command;
 /// Several processes on one node.
 mod crowds;
 /// Processes that die, brokers that die, systems that end.
 mod deaths;
 /// A subscription is a file descriptor: poll(2), epoll, tokio, intervals.
 mod descriptors;
+/// Real flight logs.
+mod flight_logs;
 /// What publish and copy never do.
 mod hot_path;
 /// Instances: who gets which.
 mod instances;
 /// Layouts that do not match, topics that nobody has described yet.
 mod layouts;
+/// `uorb listener`.
+mod listening;
 /// A node does what a model of it in plain Rust does.
 mod model;
+/// The modules and `scripts/rc.sensors`.
+mod modules;
 /// Directories, limits and leftovers.
 mod places;
+/// `uorb pub`, `info` and `ls`.
+mod publishing;
+/// `uorb replay`.
+mod replay;
 /// Processes that the broker cannot trust, and a broker in need.
 mod strangers;
+/// `uorb top`.
+mod top;
+/// `uorb test`.
+mod unit_tests;

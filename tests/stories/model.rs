@@ -147,12 +147,10 @@ fn take(step: &Step, model: &mut Model, real: &mut Real) {
             let mut all: Vec<_> = real.subscriptions.iter_mut().map(|one| &mut **one).collect();
             assert_eq!(poll(&mut all, Some(Duration::ZERO)).unwrap(), updated);
         }
-        Step::RestartBroker => {
-            // Somebody must hold something, or the system begins anew.
-            if publishers + subscribers > 0 {
-                real.bus.kill_broker();
-                real.bus.start_broker();
-            }
+        // Somebody must hold something, or the system begins anew.
+        Step::RestartBroker if publishers + subscribers > 0 => {
+            real.bus.kill_broker();
+            real.bus.start_broker();
         }
         _ => {}
     }

@@ -29,7 +29,7 @@ use self::log::{Ending, Fault, Message, Series, Told, read};
 use self::pace::Speed;
 use self::record::Source;
 use crate::context::Context;
-use crate::exit::{self, Early};
+use crate::exit::Early;
 use crate::interrupt::Interrupt;
 use crate::topics::compiled_in;
 
@@ -91,8 +91,8 @@ and `--queue 128` makes them fewer. A topic that is compiled in has the queue of
 its .msg file, else one message.
 
 A log that was cut off, as by a loss of power, is published as far as it is
-whole. Exit code 0: to its end, or to the message that was cut off; 1: an error;
-130: Ctrl-C.";
+whole, and then it is said. Exit code 0: to its end; 1: an error, a log that is
+cut off among them; 130: Ctrl-C.";
 
 pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
     let file = args.file.display();
@@ -123,13 +123,10 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     })?;
     match contents.ending {
         Ok(Ending::Whole) => Ok(()),
-        Ok(Ending::CutOff { at_byte }) => {
-            exit::say(format_args!(
-                "{file} is cut off: the record at byte {at_byte} is not whole; \
-                 all before it was published"
-            ));
-            Ok(())
-        }
+        Ok(Ending::CutOff { at_byte }) => bail!(
+            "{file} is cut off: the record at byte {at_byte} is not whole; \
+             all before it was published"
+        ),
         Err(fault) => {
             Err(anyhow!(fault).context(format!("{file}, after {} messages", contents.messages)))
         }
@@ -195,11 +192,12 @@ struct Outlet {
 impl Outlet {
     fn open(session: &Session, series: &Series, args: &Args) -> anyhow::Result<Self> {
         let Series { topic, instance, layout } = series;
+        let file = args.file.display();
         if !is_topic_name(topic) {
-            bail!("the log has a topic {topic:?}, which is no name for one");
+            bail!("{file} has a topic {topic:?}, which is no name for one");
         }
         let Some(instance) = Instance::new(*instance) else {
-            bail!("the log has an instance {instance} of {topic}; a topic has 0 to 9 (--instance)");
+            bail!("{file} has an instance {instance} of {topic}; a topic has 0 to 9 (--instance)");
         };
         let metadata = Metadata {
             name: topic.clone().into(),

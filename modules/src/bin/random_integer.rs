@@ -8,7 +8,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use uorb_core::{Publication, Session, Subscription, now_us};
+use uorb_core::{Error, Publication, Session, Subscription, now_us};
 use uorb_modules::random::Random;
 use uorb_modules::{Outcome, Stop, Ticks, parse_rate, run};
 
@@ -98,7 +98,7 @@ fn check(mut ticks: Ticks, count: u64, stop: &Stop, out: &mut impl Write) -> Out
             }
         } else if random_sub.has_ended() {
             // Who polls is told; who only looks has to ask.
-            break;
+            return Err(Error::Ended { path: session.system().dir() }.into());
         }
     }
     Ok(())

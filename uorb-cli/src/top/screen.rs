@@ -56,6 +56,8 @@ pub(super) fn show(nodes: &mut Nodes, selection: Selection) -> anyhow::Result<()
     let mut terminal = ratatui::try_init().context("cannot draw on this terminal")?;
     let ended = follow(&mut terminal, nodes, selection, &signal);
     ratatui::restore();
+    // The cursor is shown again when it is dropped, and a signal ends us first.
+    drop(terminal);
     ended?;
     match signal.load(Ordering::Relaxed) {
         0 => Ok(()),

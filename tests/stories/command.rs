@@ -1,0 +1,249 @@
+//! `uorb start`, `stop` and `status`: the broker from the command line.
+
+use std::fs;
+use std::path::Path;
+use std::process::Stdio;
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
+use uorb_core::{Error, Session};
+use uorb_tests::{Actor, Bus, Plain, eventually, is_running, program};
+
+fn end(pid: u32, signal: Signal) {
+    kill(Pid::from_raw(pid as i32), signal).expect("it lives");
+}
+
+#[test]
+fn start_returns_when_the_broker_is_ready() {
+    let bus = Bus::without_broker();
+
+    let started = bus.uorb(&["start"]);
+
+    let session = Session::connect_to(&bus.system).expect("it takes whoever comes");
+    assert_eq!((started.code, &*started.out), (0, ""), "{}", started.words);
+    let pid = bus.running_broker().expect("it has the lock");
+    let (system, words) = (&bus.system, started.words);
+    assert_eq!(words, format!("uorb: broker started at {system}, pid {pid}\n"));
+    drop(session);
+}
+
+#[test]
+fn a_second_start_says_that_it_is_running_already_and_succeeds() {
+    let bus = Bus::without_broker();
+    let pid = bus.start_by_command();
+
+    let second = bus.uorb(&["start"]);
+
+    assert_eq!(second.code, 0);
+    assert_eq!(second.words, format!("uorb: already running at {}\n", bus.system));
+    assert_eq!(bus.running_broker(), Some(pid));
+}
+
+#[test]
+fn a_broker_is_started_in_a_relative_directory_and_found_from_elsewhere() {
+    let bus = Bus::without_broker();
+    let mut start = bus.command(&program("uorb"));
+    start.current_dir(bus.system.base()).env("UORB_DIR", "by/name").arg("start");
+    start.stderr(Stdio::piped());
+    fs::create_dir_all(bus.system.base().join("by/name")).unwrap();
+
+    let started = Actor::spawn(start).end();
+
+    assert_eq!(started.code, 0);
+    let dir = bus.system.base().join("by/name");
+    let dir = dir.to_str().unwrap();
+    bus.uorb(&["--dir", dir, "ls"]).fine();
+    let stopped = bus.uorb(&["--dir", dir, "stop"]);
+    assert!(stopped.words.starts_with("uorb: stopped at "), "{}", stopped.words);
+}
+
+#[test]
+fn a_system_of_another_number_is_another_system() {
+    let bus = Bus::start();
+    bus.uorb(&["pub", "orb_test", "val=5"]);
+
+    assert_eq!(bus.uorb(&["--system", "1", "start"]).code, 0);
+
+    assert_eq!(bus.uorb(&["--system", "1", "ls"]).fine(), "");
+    assert_eq!(bus.uorb(&["ls"]).fine(), "orb_test0\n");
+    assert_eq!(bus.uorb(&["stop", "--system", "1"]).code, 0);
+    assert!(!bus.system.base().join("1").exists());
+    assert_eq!(bus.uorb(&["ls"]).fine(), "orb_test0\n");
+}
+
+#[test]
+fn start_leaves_a_directory_of_strangers_alone() {
+    let bus = Bus::without_broker();
+    fs::create_dir(bus.system.dir()).unwrap();
+    let precious = bus.system.dir().join("thesis.txt");
+    fs::write(&precious, "years of work").unwrap();
+
+    bus.uorb(&["start"]).failed(&["thesis.txt"]);
+
+    assert_eq!(fs::read_to_string(precious).unwrap(), "years of work");
+    assert_eq!(fs::read_dir(bus.system.dir()).unwrap().count(), 1, "nothing was added");
+}
+
+#[test]
+fn start_leaves_another_user_s_directory_alone() {
+    if !nix::unistd::geteuid().is_root() {
+        eprintln!("skipped: only root can make a directory of another user");
+        return;
+    }
+    let bus = Bus::without_broker();
+    fs::create_dir(bus.system.dir()).unwrap();
+    std::os::unix::fs::chown(bus.system.dir(), Some(65_534), None).unwrap();
+    bus.uorb(&["start"]).failed(&["belongs to user 65534", "UORB_DIR"]);
+}
+
+#[test]
+fn start_says_where_it_cannot_write() {
+    let bus = Bus::without_broker();
+    let file = bus.system.base().join("a file");
+    fs::write(&file, "").unwrap();
+    bus.uorb(&["--dir", file.to_str().unwrap(), "start"]).failed(&["a file", "irectory"]);
+}
+
+#[test]
+fn start_says_where_it_looked_for_a_broker_that_is_not_installed() {
+    let bus = Bus::without_broker();
+    let alone = bus.system.base().join("uorb");
+    fs::copy(program("uorb"), &alone).unwrap();
+    let start = |path: &str| {
+        let mut command = bus.command(&alone);
+        command.arg("start").env("PATH", path).stderr(Stdio::piped());
+        Actor::spawn(command).end()
+    };
+
+    start("/nowhere").failed(&["uorbd", "PATH", alone.parent().unwrap().to_str().unwrap()]);
+
+    let program = program("uorbd");
+    let beside: &Path = program.parent().unwrap();
+    let started = start(&format!("/nowhere:{}", beside.display()));
+    assert_eq!(started.code, 0, "it is found on PATH: {}", started.words);
+}
+
+#[test]
+fn stop_ends_every_handle_and_removes_the_directory() {
+    let mut bus = Bus::without_broker();
+    let pid = bus.start_by_command();
+    let mut publication = bus.advertise::<Plain>();
+    let mut module = bus.spawn_heard("random_integer", &["publish"]);
+    eventually("the module publishes", || bus.is_advertised("random_integer"));
+
+    let stopped = bus.uorb(&["stop"]);
+
+    assert_eq!((stopped.code, &*stopped.out), (0, ""), "{}", stopped.words);
+    assert_eq!(stopped.words, format!("uorb: stopped at {}\n", bus.system));
+    assert!(!bus.system.dir().exists());
+    eventually("the broker has exited", || !is_running(pid));
+    assert!(matches!(publication.publish(&Plain { value: 1 }), Err(Error::Ended { .. })));
+    let ended = module.end();
+    assert_eq!(ended.code, 0, "a module ends with the system");
+    assert!(ended.words.contains("has ended (`uorb stop`)"), "{}", ended.words);
+}
+
+#[test]
+fn foreground_is_the_broker_itself_and_a_signal_ends_it_and_leaves_nothing() {
+    for signal in [Signal::SIGTERM, Signal::SIGINT] {
+        let bus = Bus::without_broker();
+        let mut foreground = bus.spawn_uorb(&["start", "--foreground"]);
+        eventually("it is ready", || Session::connect_to(&bus.system).is_ok());
+        assert_eq!(bus.running_broker(), Some(foreground.pid()));
+        assert_eq!(bus.uorb(&["pub", "orb_test", "val=1"]).code, 0);
+
+        foreground.signal(signal);
+
+        assert_eq!(foreground.end().code, 0, "{signal}");
+        assert!(!bus.system.dir().exists());
+    }
+}
+
+#[test]
+fn start_takes_over_what_a_killed_broker_left() {
+    let mut bus = Bus::without_broker();
+    let first = bus.start_by_command();
+    let mut subscription = bus.subscribe::<Plain>();
+    let mut publication = bus.advertise::<Plain>();
+    let mut claimer = bus.spawn(&["claim", "75"]);
+    claimer.expect("ready");
+    claimer.say("go");
+    claimer.expect("instance 0");
+    end(first, Signal::SIGKILL);
+    eventually("it is gone", || bus.running_broker().is_none());
+    bus.uorb(&["info", "plain"]).failed(&["no broker runs", "uorb start"]);
+    let stopped = bus.uorb(&["stop"]);
+    assert_eq!(stopped.code, 0);
+    assert!(stopped.words.contains("a broker was killed there; `uorb start` takes over"));
+    publication.publish(&Plain { value: 1 }).unwrap();
+
+    let second = bus.start_by_command();
+
+    assert_ne!(first, second);
+    publication.publish(&Plain { value: 2 }).unwrap();
+    assert_eq!(subscription.update(), Some(Plain { value: 2 }));
+    eventually("everybody has re-joined", || {
+        let status = status(&bus);
+        let nodes: Vec<_> = status["nodes"].as_array().unwrap().iter().map(node).collect();
+        nodes == [("plain", 1, 1, 2), ("stamped", 1, 0, 0)]
+    });
+    assert_eq!(bus.uorb(&["stop"]).code, 0);
+    assert!(!bus.system.dir().exists());
+}
+
+/// Topic, publishers, subscribers and messages so far.
+fn node(node: &Value) -> (&str, u64, u64, u64) {
+    let count = |name: &str| node[name].as_u64().unwrap();
+    (node["topic"].as_str().unwrap(), count("publishers"), count("subscribers"), count("published"))
+}
+
+fn status(bus: &Bus) -> Value {
+    serde_json::from_str(&bus.uorb(&["status", "--json"]).fine()).expect("JSON")
+}
+
+#[test]
+fn status_names_the_broker_the_processes_the_nodes_and_what_was_lost() {
+    let bus = Bus::start();
+    let mut publisher = bus.spawn(&["publish", "3", "1"]);
+    publisher.expect("advertised");
+    let mut slow = bus.spawn(&["follow-name", "stamped"]);
+    slow.expect("subscribed");
+    slow.stop();
+    publisher.say("go");
+    publisher.expect("published");
+
+    let status = status(&bus);
+
+    assert_eq!(status["broker"]["pid"], bus.broker_pid());
+    assert_eq!(status["broker"]["directory"], bus.system.to_string());
+    let peers: Vec<_> = status["peers"].as_array().unwrap().iter().collect();
+    let mut pids: Vec<u64> = peers.iter().map(|peer| peer["pid"].as_u64().unwrap()).collect();
+    pids.sort_unstable();
+    let mut expected = [u64::from(publisher.pid()), u64::from(slow.pid())];
+    expected.sort_unstable();
+    assert_eq!(pids, expected);
+    assert!(peers.iter().all(|peer| peer["name"] == "actor"), "{peers:?}");
+    let shown = bus.uorb(&["status"]).fine();
+    let pid = bus.broker_pid();
+    assert!(shown.contains(&format!("pid {pid}, up ")) && shown.contains("processes: 2,"));
+    assert!(shown.contains("\nstamped     0    1  1  256 /obj/stamped0\n"), "{shown}");
+    assert!(shown.ends_with("\nNo lost messages\n"), "nobody was asked for them yet: {shown}");
+
+    slow.signal(Signal::SIGCONT);
+    slow.expect("256 bytes");
+
+    eventually("the loss is counted", || {
+        bus.uorb(&["status"]).fine().ends_with("\nTOPIC, NR LOST MSGS\nstamped0: 2\n")
+    });
+}
+
+#[test]
+fn a_broker_that_is_stopped_is_named_by_its_pid() {
+    let mut bus = Bus::start();
+    end(bus.broker_pid(), Signal::SIGSTOP);
+    let pid = bus.broker_pid().to_string();
+    bus.uorb(&["status"]).failed(&[&format!("pid {pid}, does not answer")]);
+    end(bus.broker_pid(), Signal::SIGCONT);
+    bus.stop();
+}
