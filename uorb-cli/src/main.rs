@@ -4,6 +4,10 @@
 //! what one expects; the exit codes are in `exit.rs`. Installed under the name
 //! `listener` or `px4-listener` it is `uorb listener`.
 
+// What stands above an argument is its help: `esc[0]` is no link there, and
+// `<uid>` no HTML.
+#![allow(rustdoc::broken_intra_doc_links, rustdoc::invalid_html_tags)]
+
 mod completions;
 mod context;
 mod exit;

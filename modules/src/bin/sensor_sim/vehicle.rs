@@ -17,7 +17,7 @@ use uorb_msg::{SensorAccel, SensorBaro, SensorGyro, SensorMag, VehicleGpsPositio
 pub(crate) const GRAVITY: f64 = 9.80665;
 
 /// The magnetic field in Zurich in 2017, to the north, the east and down:
-/// inclination 63.3 degrees, declination 2.3. [Gauss]
+/// inclination 63.3 degrees, declination 2.3; in Gauss.
 pub(crate) const MAGNETIC_FIELD: [f64; 3] = [0.2150, 0.0086, 0.4274];
 
 /// Where PX4's simulations start, too. [deg, deg, m above mean sea level]
@@ -25,7 +25,7 @@ pub(crate) const LATITUDE: f64 = 47.397_742;
 pub(crate) const LONGITUDE: f64 = 8.545_594;
 pub(crate) const ALTITUDE: f64 = 488.0;
 
-/// How far mean sea level is above the ellipsoid there. [m]
+/// How far mean sea level is above the ellipsoid there, in metres.
 const GEOID: f64 = 47.6;
 
 /// A circle of latitude is this many metres a degree from the next one.
@@ -37,8 +37,9 @@ const fn device_id(kind: u32, address: u32, bus: u32) -> u32 {
     kind << 16 | address << 8 | bus << 3 | 4
 }
 
-/// The standard atmosphere below 11 km: pressure at sea level [mbar],
-/// temperature there [K], lapse rate [K/m], gas constant of air [J/(kg K)].
+/// The standard atmosphere below 11 km: pressure at sea level in
+/// mbar, temperature there in K, lapse rate in K/m, gas constant of air in
+/// J/(kg K).
 const SEA_LEVEL_MBAR: f64 = 1013.25;
 const SEA_LEVEL_KELVIN: f64 = 288.15;
 const LAPSE_RATE: f64 = 0.0065;
@@ -202,7 +203,7 @@ pub(crate) struct Magnetometer {
 }
 
 impl Magnetometer {
-    /// [Gauss]
+    /// In Gauss.
     pub(crate) const NOISE: f64 = 0.002;
     const RANGE: f64 = 1.3;
 
@@ -271,7 +272,7 @@ impl Barometer {
 /// after about half a minute (a Gauss-Markov process).
 pub(crate) struct Gps {
     random: Random,
-    /// To the north, the east and up. [m]
+    /// To the north, the east and up, in metres.
     error: [f64; 3],
     last_us: u64,
 }
