@@ -18,7 +18,8 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use uorb_core::{
-    Instance, Priority, Publication, RawSubscription, Session, Subscription, System, Topic, topic,
+    Instance, Priority, Publication, RawSubscription, Session, StreamSubscription, Subscription,
+    System, Topic, World, topic,
 };
 
 pub use self::process::{Actor, Ended, is_running};
@@ -172,6 +173,11 @@ impl Bus {
         Subscription::subscribe_instance(&self.session(), instance(number)).expect("subscribed")
     }
 
+    /// Follows the stream of instance 0.
+    pub fn stream<T: Topic>(&mut self) -> StreamSubscription<T> {
+        StreamSubscription::subscribe(&self.session()).expect("subscribed")
+    }
+
     /// Follows a topic by name.
     pub fn subscribe_by_name(&mut self, topic: &str) -> RawSubscription {
         RawSubscription::subscribe(&self.session(), topic, Instance::FIRST).expect("subscribed")
@@ -253,6 +259,7 @@ impl Drop for Bus {
                 let _ = kill(Pid::from_raw(pid as i32), Signal::SIGKILL);
             }
         }
+        World::of(&self.system).remove();
         let _ = fs::remove_dir_all(&self.base);
     }
 }

@@ -32,6 +32,8 @@ mod publishing;
 mod replay;
 /// Processes that the broker cannot trust, and a broker in need.
 mod strangers;
+/// Streams: every message, without a copy.
+mod streams;
 /// `uorb top`.
 mod top;
 /// `uorb test`.

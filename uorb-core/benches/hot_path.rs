@@ -110,6 +110,7 @@ impl Drop for Bus {
     fn drop(&mut self) {
         let _ = self.broker.kill();
         let _ = self.broker.wait();
+        uorb_core::World::of(&self.system).remove();
         let _ = std::fs::remove_dir_all(&self.base);
     }
 }

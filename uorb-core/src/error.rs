@@ -122,6 +122,26 @@ pub enum Error {
         /// What was given, in bytes.
         given_bytes: usize,
     },
+    /// The stream of a node cannot be used. The node still can.
+    #[error("the stream of {node}: {what}")]
+    Stream {
+        /// The node: `sensor_accel0`.
+        node: String,
+        /// What is wrong, as iceoryx2 says it.
+        what: String,
+    },
+    /// A stream subscription that asked for back-pressure has a full queue, so
+    /// `try_publish` has published nothing. Try again when it has received, or
+    /// `publish`, which overwrites what it has not.
+    #[error("the queue of {process} on the stream of {node} is full: {depth} messages")]
+    QueueFull {
+        /// The node: `sensor_accel0`.
+        node: String,
+        /// The slow process: `logger (pid 4711)`.
+        process: String,
+        /// How many messages its queue holds.
+        depth: u32,
+    },
     /// The process has no descriptors left. Raise `ulimit -n`.
     #[error("no descriptors left for {what}: the limit is {limit} (ulimit -n)")]
     NoDescriptors {
@@ -165,6 +185,19 @@ impl Error {
             return Self::NoDescriptors { what, limit };
         }
         Self::Io { action, path: path.into(), source }
+    }
+}
+
+impl Error {
+    /// An error of a stream. iceoryx2 does not say when descriptors have run
+    /// out, so we look.
+    #[cold]
+    pub(crate) fn stream(node: impl Into<String>, what: impl Into<String>) -> Self {
+        let (node, what) = (node.into(), what.into());
+        match std::fs::File::open("/dev/null") {
+            Err(error) => Self::io("open", format!("the stream of {node}").as_ref(), error),
+            Ok(_) => Self::Stream { node, what },
+        }
     }
 }
 

@@ -19,9 +19,13 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::message_hash::text;
 
-/// The bytes of the largest message a node takes, PX4's limit: `o_size` is 16
-/// bits wide (uORB.h).
-pub const MESSAGE_SIZE_MAX_BYTES: u32 = 65_535;
+/// The bytes of the largest message that a node keeps, PX4's limit: `o_size` is
+/// 16 bits wide (uORB.h). A topic of larger ones is a large topic: its messages
+/// are on its stream, and its nodes keep what there is to know of them.
+pub const NODE_MESSAGE_MAX_BYTES: u32 = 65_535;
+
+/// The bytes of the largest message of all: 256 MiB.
+pub const MESSAGE_SIZE_MAX_BYTES: u32 = 256 << 20;
 
 /// How deep messages may nest. PX4's deepest is 2; the rest is room.
 pub(crate) const NESTING_MAX: usize = 8;
@@ -212,6 +216,12 @@ impl Layout {
     /// Whether only the size is known.
     pub fn is_untyped(&self) -> bool {
         self.fields.is_empty()
+    }
+
+    /// Whether messages are too large for a node and live on the stream.
+    #[inline]
+    pub const fn is_large(&self) -> bool {
+        self.size_bytes > NODE_MESSAGE_MAX_BYTES
     }
 
     /// The fields in the order in which they lie in memory.

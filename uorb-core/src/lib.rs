@@ -62,6 +62,8 @@ mod layout;
 #[cfg(not(loom))]
 mod link;
 #[cfg(not(loom))]
+mod loan;
+#[cfg(not(loom))]
 mod mapping;
 #[cfg(not(loom))]
 mod message_hash;
@@ -78,6 +80,10 @@ mod publication;
 #[cfg(not(loom))]
 mod session;
 #[cfg(not(loom))]
+mod stream;
+#[cfg(not(loom))]
+mod stream_subscription;
+#[cfg(not(loom))]
 mod subscription;
 #[cfg(not(loom))]
 mod system;
@@ -91,12 +97,18 @@ pub use self::{
     clock::now_us,
     error::Error,
     generation::Generation,
-    layout::{Field, FieldType, FlatField, Layout, LayoutFault, MESSAGE_SIZE_MAX_BYTES},
+    layout::{
+        Field, FieldType, FlatField, Layout, LayoutFault, MESSAGE_SIZE_MAX_BYTES,
+        NODE_MESSAGE_MAX_BYTES,
+    },
+    loan::{Loan, RawLoan},
     message_hash::message_hash,
     poll::poll,
     protocol::{Claim, Mismatch, PeerInfo, Refusal},
     publication::{AdvertiseOptions, Publication, RawPublication},
     session::Session,
+    stream::{STREAMS_MAX, UorbHeader, World, depth_max},
+    stream_subscription::{StreamOptions, StreamSubscription},
     subscription::{Copied, RawSubscription, Subscription},
     system::{DIR_VARIABLE, SYSTEM_VARIABLE, System},
     topic::{
@@ -110,10 +122,14 @@ pub use self::{
 #[cfg(not(loom))]
 #[doc(hidden)]
 pub mod broker_side {
-    pub use crate::node::{Ending, Node, NodeStatus, PublisherEntry, Role, base_of};
+    pub use crate::node::{
+        Ending, Foreigners, Node, NodeStatus, PublisherEntry, Role, StreamEntry, StreamStatus,
+        base_of,
+    };
     pub use crate::node_file::{Identity, NODE_FILE_VERSION, boot_id};
     pub use crate::protocol::*;
-    pub use crate::ring::PUBLISHERS_MAX;
+    pub use crate::ring::{PEER_MAX, PUBLISHERS_MAX};
+    pub use crate::stream::{Events, Ipc, Member, Stream, open as open_stream, service_name};
     pub use crate::transport::{listen_as_broker, receive_packet, send_packet};
 }
 

@@ -24,8 +24,10 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
+use nix::fcntl::{FcntlArg, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::{EfdFlags, EventFd};
+use nix::sys::resource::{Resource, getrlimit, setrlimit};
 use nix::sys::signal::{SigSet, SigmaskHow, pthread_sigmask};
 use nix::sys::socket::{Shutdown, shutdown};
 
@@ -34,8 +36,10 @@ use crate::node::{Node, Role};
 use crate::node_file::DESCRIPTION_MAX_BYTES;
 use crate::protocol::{
     Advertise, Claim, FromBroker, Join, PROCESS_NAME_MAX_BYTES, PROTOCOL_VERSION, Refusal, Rejoin,
-    Reply, Request, Subscribe, ToBroker, decode, encode,
+    Reply, Request, Subscribe, ToBroker, Wish, decode, encode,
 };
+use crate::stream::port::Streamable;
+use crate::stream::{Member, World};
 use crate::system::System;
 use crate::topic::Instance;
 use crate::transport::{connect_to_broker, receive_packet, send_packet};
@@ -67,6 +71,12 @@ pub(crate) struct Link {
     pub(crate) system: System,
     pub(crate) peer: u16,
     pub(crate) system_id: u64,
+    /// Where the system's streams are, and this process as a member of it, once
+    /// it has a stream.
+    world: World,
+    member: Mutex<Option<Arc<Member>>>,
+    /// Publications, whose ports are opened when somebody follows the stream.
+    streamables: Mutex<HashMap<u32, Streamable>>,
     /// [`FORKS`] when the link was made.
     forks: u32,
     ended: AtomicBool,
@@ -118,10 +128,25 @@ impl State {
                 self.waiting.remove(&subscribe.handle);
                 self.held.insert(subscribe.handle, Request::Subscribe(subscribe));
             }
+            (Request::Subscribe(subscribe), Reply::Streaming { place }) => {
+                // From now on it is this place, whoever grants it.
+                let stream = subscribe.stream.map(|wish| Wish { place: Some(*place), ..wish });
+                let handle = subscribe.handle;
+                self.held.insert(handle, Request::Subscribe(Subscribe { stream, ..subscribe }));
+            }
             (Request::Subscribe(subscribe), Reply::Waiting) => {
                 self.held.insert(subscribe.handle, Request::Subscribe(subscribe));
             }
             _ => {}
+        }
+    }
+
+    /// What the broker says by itself while the process re-joins.
+    fn hear(&mut self, word: FromBroker, streamed: &mut Vec<u32>) {
+        match word {
+            FromBroker::Described { handle } => self.described(handle),
+            FromBroker::Streamed { handle } => streamed.push(handle),
+            FromBroker::Reply { .. } | FromBroker::Ended => {}
         }
     }
 
@@ -170,8 +195,8 @@ impl Link {
 
         let path = system.socket();
         let socket = connect_patiently(system)?;
-        let (peer, system_id) = match join(system, &socket, None)? {
-            Reply::Welcome { peer, system_id } => (peer, system_id),
+        let (peer, system_id, world) = match join(system, &socket, None)? {
+            Reply::Welcome { peer, system_id, world } => (peer, system_id, world),
             reply => return Err(unexpected(reply)),
         };
         let quit = EventFd::from_flags(EfdFlags::EFD_CLOEXEC)
@@ -181,6 +206,9 @@ impl Link {
             system: system.clone(),
             peer,
             system_id,
+            world,
+            member: Mutex::default(),
+            streamables: Mutex::default(),
             forks: FORKS.load(Ordering::Relaxed),
             ended: AtomicBool::new(false),
             quit,
@@ -418,6 +446,8 @@ impl Link {
                 }
             }
             FromBroker::Described { handle } => self.state().described(handle),
+            // The broker has been told why, if it cannot be opened.
+            FromBroker::Streamed { handle } => _ = self.open_port(handle),
             FromBroker::Ended => self.end(),
         }
     }
@@ -453,10 +483,11 @@ impl Link {
     fn rejoin(&self, socket: OwnedFd, buffer: &mut Vec<u8>) -> Result<(), Error> {
         let rejoin = Rejoin { peer: self.peer, system_id: self.system_id };
         match join(&self.system, &socket, Some(rejoin))? {
-            Reply::Welcome { peer, system_id }
+            Reply::Welcome { peer, system_id, .. }
                 if peer == self.peer && system_id == self.system_id => {}
             reply => return Err(unexpected(reply)),
         }
+        let mut streamed = Vec::new();
         let mut state = self.state();
         // The socket's buffers hold some hundred packets each way, and a process
         // may hold ten thousand handles: take each answer before the next
@@ -465,25 +496,98 @@ impl Link {
         let held: Vec<(u32, Request)> =
             state.held.iter().map(|(handle, request)| (*handle, request.clone())).collect();
         for (handle, request) in held {
-            let reply = exchange(&self.system, &socket, request, buffer, |handle| {
-                state.described(handle);
-            })?;
+            let mut hear = |word| state.hear(word, &mut streamed);
+            let reply = exchange(&self.system, &socket, request, buffer, &mut hear)?;
             match reply {
-                Reply::Subscribed => state.described(handle),
+                Reply::Subscribed | Reply::Streaming { .. } => state.described(handle),
                 Reply::Advertised(_) | Reply::Waiting | Reply::Refused(_) => {}
                 reply => return Err(unexpected(reply)),
             }
         }
-        exchange(&self.system, &socket, Request::Rejoined, buffer, |handle| {
-            state.described(handle);
-        })?;
+        let mut hear = |word| state.hear(word, &mut streamed);
+        exchange(&self.system, &socket, Request::Rejoined, buffer, &mut hear)?;
         for (number, call) in &state.calls {
             let request = call.request.clone();
             send_packet(&socket, &encode(&ToBroker { number: *number, request }))
                 .map_err(|error| no_broker(&self.system, error))?;
         }
         state.socket = Some(Arc::new(socket));
+        drop(state);
+        for handle in streamed {
+            let _ = self.open_port(handle);
+        }
         Ok(())
+    }
+
+    // Streams.
+
+    /// This process as a member of the world of the system's streams.
+    pub(crate) fn member(&self) -> Result<Arc<Member>, Error> {
+        let mut member = self.member.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(member) = &*member {
+            return Ok(member.clone());
+        }
+        raise_descriptor_limit();
+        let joined = self.world.join(&format!("uorb-{}", self.peer));
+        let joined = joined.map_err(|what| Error::stream(self.system.to_string(), what))?;
+        Ok(member.insert(Arc::new(joined)).clone())
+    }
+
+    /// In the child of a fork: the membership is the parent's, and what it would
+    /// clean up, too.
+    pub(crate) fn forget_member(&self) {
+        if let Ok(mut member) = self.member.try_lock() {
+            std::mem::forget(member.take());
+        }
+    }
+
+    /// Notes a publication, so that its port can be opened when it is needed.
+    pub(crate) fn add_streamable(&self, handle: u32, streamable: Streamable) {
+        self.streamables().insert(handle, streamable);
+    }
+
+    pub(crate) fn remove_streamable(&self, handle: u32) {
+        self.streamables().remove(&handle);
+    }
+
+    fn streamables(&self) -> MutexGuard<'_, HashMap<u32, Streamable>> {
+        self.streamables.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Opens the port of a publication, and tells the broker how that went.
+    pub(crate) fn open_port(&self, handle: u32) -> Result<(), Error> {
+        let Some(streamable) = self.streamables().get(&handle).cloned() else { return Ok(()) };
+        let Streamable { cell, node, publisher } = streamable;
+        let opened =
+            self.member().and_then(|member| cell.open(&member, &self.system, &node, publisher));
+        let failure = opened.as_ref().err().map(ToString::to_string);
+        self.tell(Request::Port { handle, failure });
+        opened
+    }
+
+    /// A process of this system by name and process id, for people. Its own file
+    /// must not be opened: closing it again would let go of the lock.
+    pub(crate) fn describe_process(&self, peer: u16) -> String {
+        if peer == self.peer {
+            return format!("{} (pid {})", process_name(), std::process::id());
+        }
+        let path = self.system.peer(peer);
+        let name = std::fs::read_to_string(&path).unwrap_or_else(|_| "a process".into());
+        let mut lock = write_lock();
+        let file = File::options().read(true).write(true).open(&path);
+        let asked = file.map(|file| fcntl(&file, FcntlArg::F_GETLK(&mut lock)));
+        match asked {
+            Ok(Ok(_)) if lock.l_pid > 0 => format!("{name} (pid {})", lock.l_pid),
+            _ => name,
+        }
+    }
+}
+
+/// A stream takes some descriptors: the soft limit of 1,024 would be the first
+/// to be reached.
+fn raise_descriptor_limit() {
+    if let Ok((_, hard)) = getrlimit(Resource::RLIMIT_NOFILE) {
+        let _ = setrlimit(Resource::RLIMIT_NOFILE, hard, hard);
     }
 }
 
@@ -511,7 +615,7 @@ fn exchange(
     socket: &OwnedFd,
     request: Request,
     buffer: &mut Vec<u8>,
-    mut described: impl FnMut(u32),
+    hear: &mut dyn FnMut(FromBroker),
 ) -> Result<Reply, Error> {
     // A broker that was killed meanwhile is none.
     send_packet(socket, &encode(&ToBroker { number: NO_NUMBER, request }))
@@ -531,7 +635,7 @@ fn exchange(
         match decode(packet) {
             Some(FromBroker::Reply { reply, .. }) => return Ok(reply),
             Some(FromBroker::Ended) => return Err(Refusal::OtherSystem.into()),
-            Some(FromBroker::Described { handle }) => described(handle),
+            Some(word) => hear(word),
             None => return Err(Error::NoBroker { path: system.socket() }),
         }
     }
@@ -539,7 +643,7 @@ fn exchange(
 
 fn join(system: &System, socket: &OwnedFd, rejoin: Option<Rejoin>) -> Result<Reply, Error> {
     let request = Request::Join(Join { version: PROTOCOL_VERSION, name: process_name(), rejoin });
-    match exchange(system, socket, request, &mut Vec::new(), |_| {})? {
+    match exchange(system, socket, request, &mut Vec::new(), &mut |_| {})? {
         Reply::Refused(refusal) => Err(refusal.into()),
         reply => Ok(reply),
     }
@@ -580,16 +684,19 @@ fn lock_life(system: &System, peer: u16) -> Result<File, Error> {
         .map_err(|error| Error::io("open", &path, error))?;
     // A record lock, not flock or an open file description's: those outlive
     // the process in a forked child.
-    let lock = libc::flock {
+    fcntl(&file, FcntlArg::F_SETLK(&write_lock()))
+        .map_err(|errno| Error::io("lock", &path, errno.into()))?;
+    Ok(file)
+}
+
+fn write_lock() -> libc::flock {
+    libc::flock {
         l_type: libc::F_WRLCK as libc::c_short,
         l_whence: libc::SEEK_SET as libc::c_short,
         l_start: 0,
         l_len: 0,
         l_pid: 0,
-    };
-    nix::fcntl::fcntl(&file, nix::fcntl::FcntlArg::F_SETLK(&lock))
-        .map_err(|errno| Error::io("lock", &path, errno.into()))?;
-    Ok(file)
+    }
 }
 
 /// Starts the thread with all signals blocked: a program's handlers run on its

@@ -11,10 +11,12 @@
 #![allow(unsafe_code)]
 
 mod making;
+mod streaming;
 
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::mem::MaybeUninit;
+use std::ops::Range;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -30,6 +32,7 @@ use crate::system::System;
 use crate::topic::{Instance, Priority, QueueLength};
 
 pub use making::base_of;
+pub use streaming::{Foreigners, StreamEntry, StreamStatus};
 
 /// What a process does with a node, and so what it may write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -48,6 +51,10 @@ impl Role {
     fn access(self, writers: &[Self]) -> Access {
         if writers.contains(&self) { Access::ReadWrite } else { Access::ReadOnly }
     }
+
+    fn may_copy(self) -> bool {
+        matches!(self, Self::Subscriber | Self::Broker)
+    }
 }
 
 /// How many subscriptions share one open bell. The kernel lets one open file
@@ -64,6 +71,8 @@ pub struct Node {
     sections: Sections,
     counts: Mapping,
     doorbell: Mapping,
+    /// Only of a large topic, and only for those who copy or keep its messages.
+    last: Option<Mapping>,
     ring: OnceLock<MappedRing>,
     /// Kept until the ring is mapped, which is when there is one.
     file: Mutex<Option<File>>,
@@ -76,9 +85,11 @@ pub struct Node {
 struct MappedRing {
     ring: Ring<'static>,
     rung: &'static AtomicU64,
+    ports: &'static [AtomicU64],
+    next_port: &'static AtomicU64,
     /// What rings for this publisher. Subscribers and observers have none.
     bell: Option<Arc<Bell>>,
-    /// What `ring` and `rung` point into.
+    /// What all these point into.
     _mapping: Mapping,
 }
 
@@ -180,13 +191,20 @@ impl Node {
         if length < sections.ring as u64 {
             return Err(Error::CorruptNode { path, what: "it is cut off".into() });
         }
-        let map = |start, access| {
-            Mapping::new(&file, start..start + page_bytes(), access)
+        let map = |section: Range<usize>, access| {
+            Mapping::new(&file, section, access)
                 .map_err(|errno| Error::io("map", &path, errno.into()))
         };
+        let page = |start| start..start + page_bytes();
+        let has_last = sections.last < sections.ring && role.may_copy();
+        let last = has_last
+            .then(|| map(sections.last..sections.ring, role.access(&[Role::Broker])))
+            .transpose()?;
+        let doorbell_access = role.access(&[Role::Subscriber, Role::Broker]);
         Ok(Self {
-            counts: map(sections.counts, role.access(&[Role::Broker]))?,
-            doorbell: map(sections.doorbell, role.access(&[Role::Subscriber, Role::Broker]))?,
+            counts: map(page(sections.counts), role.access(&[Role::Broker]))?,
+            doorbell: map(page(sections.doorbell), doorbell_access)?,
+            last,
             ring: OnceLock::new(),
             bell_path: system.bell(&identity.metadata.name, identity.instance),
             bells: Mutex::new(Vec::new()),
@@ -255,6 +273,8 @@ impl Node {
         Ok(MappedRing {
             ring: Ring::new(tables, geometry, self.identity.base),
             rung: &words[ring_section::RUNG],
+            ports: &words[ring_section::PORTS..ring_section::TABLES],
+            next_port: &words[ring_section::NEXT_PORT],
             bell: (self.role == Role::Publisher).then(|| self.open_bell()).transpose()?,
             _mapping: mapping,
         })
@@ -271,11 +291,16 @@ impl Node {
     pub(crate) fn publish(&self, writer: &mut Writer, message: &[u8]) -> Result<u64, Busy> {
         let Some(mapped) = self.ring.get() else { return Err(Busy) };
         let generation = mapped.ring.publish(writer, now_us(), message)?;
+        self.ring_if_asked(mapped);
+        Ok(generation)
+    }
+
+    #[inline]
+    fn ring_if_asked(&self, mapped: &MappedRing) {
         let asked = &self.doorbell.words()[doorbell::ASKED];
         bell::ring_if_asked(asked, mapped.rung, || {
             mapped.bell.as_ref().is_some_and(|bell| bell.ring())
         });
-        Ok(generation)
     }
 
     /// Whether anything newer than `cursor` was published.

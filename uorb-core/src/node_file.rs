@@ -5,9 +5,13 @@
 //! | section | what is in it | who writes it |
 //! |---|---|---|
 //! | identity | name, instance, layout, which system and boot | the broker, once |
-//! | counts | publishers, subscribers, queue length, ended | the broker alone |
-//! | doorbell | `asked`, messages lost | subscribers |
-//! | ring | `rung`, order ring, slots | publishers |
+//! | counts | publishers, subscribers, streams, queue length, ended | the broker alone |
+//! | doorbell | `asked`, messages lost, how far streams have come | subscribers |
+//! | ring | `rung`, ports of publishers, order ring, slots | publishers |
+//! | last | a large topic's message that outlived its publisher | the broker alone |
+//!
+//! A large topic's messages are on its stream; its slots have no payload, and
+//! only its nodes have the last section.
 //!
 //! The identity is read into private memory and checked there; after that
 //! nothing that another process writes says how large anything is. Every number
@@ -20,12 +24,13 @@ use std::path::Path;
 use zerocopy::{FromBytes, Immutable, IntoBytes};
 
 use crate::error::Error;
+use crate::layout::Layout;
 use crate::mapping::page_bytes;
 use crate::ring::{Geometry, PUBLISHERS_MAX};
 use crate::topic::{Instance, Metadata, QueueLength, is_topic_name};
 
 /// The layout of node files that this build reads and writes.
-pub const NODE_FILE_VERSION: u32 = 1;
+pub const NODE_FILE_VERSION: u32 = 2;
 
 /// The most bytes a topic's description may take in the node file.
 pub(crate) const DESCRIPTION_MAX_BYTES: usize = 64 * 1024;
@@ -70,14 +75,18 @@ pub struct Identity {
 pub(crate) struct Sections {
     pub(crate) counts: usize,
     pub(crate) doorbell: usize,
+    pub(crate) last: usize,
     pub(crate) ring: usize,
 }
 
 impl Sections {
-    fn behind(identity_bytes: usize) -> Self {
+    fn behind(identity_bytes: usize, layout: &Layout) -> Self {
         let page = page_bytes();
         let counts = identity_bytes.next_multiple_of(page);
-        Self { counts, doorbell: counts + page, ring: counts + 2 * page }
+        let last = counts + 2 * page;
+        // The ring is last in the file: its length is decided later.
+        let ring = last + last_section::bytes(layout).next_multiple_of(page);
+        Self { counts, doorbell: counts + page, last, ring }
     }
 }
 
@@ -91,26 +100,68 @@ pub(crate) mod counts {
     pub(crate) const PUBLISHERS: usize = 2;
     /// Subscriptions.
     pub(crate) const SUBSCRIBERS: usize = 3;
+    /// Not 0: somebody follows the stream, so publishers send on it.
+    pub(crate) const STREAMED: usize = 4;
+    /// Streams that ask for back-pressure.
+    pub(crate) const BACK_PRESSURE: usize = 5;
+    /// Foreign programs that follow the stream, and that publish on it.
+    pub(crate) const FOREIGN_SUBSCRIBERS: usize = 6;
+    pub(crate) const FOREIGN_PUBLISHERS: usize = 7;
     /// One word a publisher: `handle << 32 | priority << 16 | peer`, 0: free.
     pub(crate) const ENTRIES: usize = 8;
+    /// One word a stream subscription, see `StreamEntry`; 0: free.
+    pub(crate) const STREAMS: usize = 32;
 }
 
 /// Words of the doorbell section, a cache line each.
 pub(crate) mod doorbell {
     pub(crate) const ASKED: usize = 0;
     pub(crate) const LOST: usize = 8;
+    /// Messages of foreign publishers that stream subscriptions have dropped.
+    pub(crate) const FOREIGN: usize = 16;
+    /// One a stream subscription: the generation up to which it has received,
+    /// and the messages that it has lost.
+    pub(crate) const STREAMS: usize = 24;
+    pub(crate) const STREAM_WORDS: usize = 8;
 }
 
 /// Words of the ring section.
 pub(crate) mod ring_section {
     pub(crate) const RUNG: usize = 0;
-    pub(crate) const TABLES: usize = 8;
+    /// Counts up where the next publisher looks for a free entry of the table.
+    pub(crate) const NEXT_PORT: usize = 1;
+    /// Three words a port: whose it is (`handle << 16 | peer`, 0: free), and the
+    /// two halves of its id. The id stays when the port is gone: messages of it
+    /// may still be under way.
+    pub(crate) const PORTS: usize = 8;
+    pub(crate) const PORT_WORDS: usize = 3;
+    /// Four generations of publishers, so that an id stays known for a while.
+    pub(crate) const PORTS_MAX: usize = 4 * super::PUBLISHERS_MAX as usize;
+    pub(crate) const TABLES: usize = PORTS + PORTS_MAX * PORT_WORDS;
+}
+
+/// Words of the last section.
+pub(crate) mod last_section {
+    use crate::layout::Layout;
+
+    /// The generation that is there; 0 while it is written, or none is.
+    pub(crate) const GENERATION: usize = 0;
+    pub(crate) const PUBLISH_TIME: usize = 1;
+    pub(crate) const PUBLISHER: usize = 2;
+    pub(crate) const PAYLOAD: usize = 3;
+
+    pub(crate) fn bytes(layout: &Layout) -> usize {
+        let words = PAYLOAD + (layout.size_bytes as usize).div_ceil(size_of::<u64>());
+        if layout.is_large() { words * size_of::<u64>() } else { 0 }
+    }
 }
 
 impl Identity {
     /// The geometry of the node's ring with a queue of this length.
     pub(crate) fn geometry(&self, queue_length: QueueLength) -> Geometry {
-        Geometry::new(queue_length.get(), PUBLISHERS_MAX, self.metadata.layout.size_bytes)
+        let layout = &self.metadata.layout;
+        let slot_bytes = if layout.is_large() { 0 } else { layout.size_bytes };
+        Geometry::new(queue_length.get(), PUBLISHERS_MAX, slot_bytes)
     }
 
     /// The bytes of the node's whole file with a queue of this length.
@@ -140,7 +191,7 @@ impl Identity {
         };
         let mut bytes = head.as_bytes().to_vec();
         bytes.extend_from_slice(&description);
-        let sections = Sections::behind(bytes.len());
+        let sections = Sections::behind(bytes.len(), &self.metadata.layout);
         Ok((bytes, sections))
     }
 
@@ -190,7 +241,9 @@ impl Identity {
             base: head.base,
             metadata,
         };
-        Ok((identity, Sections::behind(size_of::<Head>() + description_bytes)))
+        let identity_bytes = size_of::<Head>() + description_bytes;
+        let sections = Sections::behind(identity_bytes, &identity.metadata.layout);
+        Ok((identity, sections))
     }
 }
 

@@ -16,10 +16,11 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use crate::layout::{Layout, LayoutFault};
+use crate::stream::World;
 use crate::topic::{Instance, Metadata, Priority, QueueLength};
 
 /// The version of these words. A broker refuses a process of another one.
-pub const PROTOCOL_VERSION: u32 = 1;
+pub const PROTOCOL_VERSION: u32 = 2;
 
 /// The largest packet, in bytes: two descriptions of the greatest length, as a
 /// mismatch has them, and room for what stands around them. The kernel takes
@@ -50,6 +51,18 @@ pub enum Request {
     Unsubscribe {
         /// The handle it was subscribed with.
         handle: u32,
+    },
+    /// The queue of a stream subscription is there: publishers may send to it.
+    Following {
+        /// The subscription's handle.
+        handle: u32,
+    },
+    /// The port of a publication is open, or could not be opened.
+    Port {
+        /// The publication's handle.
+        handle: u32,
+        /// Why not, where it could not.
+        failure: Option<String>,
     },
     /// How is the broker?
     Status,
@@ -120,6 +133,19 @@ pub struct Subscribe {
     pub subject: Subject,
     /// Which of its nodes.
     pub instance: Instance,
+    /// Not only the node, but also the stream: every message.
+    pub stream: Option<Wish>,
+}
+
+/// How to follow a stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Wish {
+    /// How many messages the queue holds.
+    pub depth: u32,
+    /// Whether `try_publish` is to fail while the queue is full.
+    pub back_pressure: bool,
+    /// The place among the node's streams that it had with a broker that died.
+    pub place: Option<u8>,
 }
 
 /// A topic, as far as a subscriber knows it.
@@ -173,6 +199,11 @@ pub enum FromBroker {
         /// The subscription's handle.
         handle: u32,
     },
+    /// Somebody follows the stream of a publication's node: open its port.
+    Streamed {
+        /// The publication's handle.
+        handle: u32,
+    },
     /// The system has ended: somebody said `uorb stop`.
     Ended,
 }
@@ -186,11 +217,18 @@ pub enum Reply {
         peer: u16,
         /// The random number of this system.
         system_id: u64,
+        /// Where its streams are.
+        world: World,
     },
     /// To [`Request::Advertise`]: which instance it became.
     Advertised(Instance),
     /// To [`Request::Subscribe`]: the node is there.
     Subscribed,
+    /// To [`Request::Subscribe`]: the node is there, and the stream.
+    Streaming {
+        /// The subscription's place among the node's streams.
+        place: u8,
+    },
     /// To [`Request::Subscribe`]: nobody has described the topic yet.
     Waiting,
     /// To requests that just succeed.
@@ -224,6 +262,10 @@ pub struct BrokerStatus {
     pub nodes: u32,
     /// Nodes that have a publisher.
     pub advertised: u32,
+    /// Where its streams are.
+    pub world: World,
+    /// Why there are none, where that is so.
+    pub no_streams: Option<String>,
 }
 
 /// One process, as the broker knows it.
@@ -307,6 +349,12 @@ pub enum Refusal {
         path: PathBuf,
         /// What it needs, in bytes.
         needed_bytes: u64,
+    },
+    /// The stream cannot be followed.
+    #[error("{what}")]
+    NoStream {
+        /// Why, as iceoryx2 said it.
+        what: String,
     },
     /// A limit of the broker is reached.
     #[error("the broker's limit of {limit} {what} is reached")]

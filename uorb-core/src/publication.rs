@@ -13,10 +13,12 @@ use zerocopy::IntoBytes;
 
 use crate::error::Error;
 use crate::generation::Generation;
+use crate::loan::{Loan, RawLoan};
 use crate::node::Node;
 use crate::protocol::{Advertise, Claim};
 use crate::ring::Writer;
 use crate::session::Session;
+use crate::stream::port::{Loaned, Port, PortCell};
 use crate::topic::{Instance, Metadata, Priority, QueueLength, Topic};
 
 /// How to advertise, where the usual way does not do.
@@ -47,6 +49,10 @@ impl Default for AdvertiseOptions {
 pub struct RawPublication {
     node: Arc<Node>,
     writer: Writer,
+    /// Before the session: a port goes before the process's membership.
+    port: Arc<PortCell>,
+    /// What a loan is written into where nobody follows the stream.
+    private: Vec<u64>,
     session: Session,
     handle: u32,
 }
@@ -68,8 +74,15 @@ impl RawPublication {
         let metadata = metadata.clone();
         let advertise = Advertise { handle: 0, metadata, claim, priority, queue_length };
         let (handle, node) = session.advertise(advertise)?;
-        let writer = Writer::new(session.peer(), handle);
-        Ok(Self { node, writer, session: session.clone(), handle })
+        let publication = Self {
+            writer: Writer::new(session.peer(), handle),
+            port: session.port(handle, &node).inspect_err(|_| session.unadvertise(handle))?,
+            node,
+            private: Vec::new(),
+            session: session.clone(),
+            handle,
+        };
+        Ok(publication)
     }
 
     /// Makes `message` the newest. It has exactly the bytes of the layout.
@@ -84,17 +97,123 @@ impl RawPublication {
     #[doc(alias = "orb_publish")]
     #[inline]
     pub fn publish(&mut self, message: &[u8]) -> Result<Generation, Error> {
-        if message.len() != self.node.identity.metadata.layout.size_bytes as usize {
+        if message.len() != self.size_bytes() {
             return Err(self.wrong_size(message.len()));
         }
+        self.check()?;
+        if self.is_streamed() {
+            return self.publish_and_send(message);
+        }
+        let published = self.node.publish(&mut self.writer, message);
+        published.map(Generation::from_wide).map_err(|_| self.busy())
+    }
+
+    /// As [`RawPublication::publish`], unless the queue of a stream subscription
+    /// that asked for back-pressure is full: then nothing is published, neither
+    /// in the node nor on the stream.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::QueueFull`], which names the slow process; else as
+    /// [`RawPublication::publish`].
+    pub fn try_publish(&mut self, message: &[u8]) -> Result<Generation, Error> {
+        self.check_queues()?;
+        self.publish(message)
+    }
+
+    /// The memory of the next message, to be written in place.
+    ///
+    /// # Errors
+    ///
+    /// As [`RawPublication::publish`]; [`Error::NoSpace`] where shared memory has
+    /// no room for one more large message.
+    pub fn loan(&mut self) -> Result<RawLoan<'_>, Error> {
+        self.check()?;
+        let loaned = if self.is_streamed() { self.loan_from_stream()? } else { None };
+        let mut private = std::mem::take(&mut self.private);
+        if loaned.is_none() {
+            private.resize(self.size_bytes().div_ceil(size_of::<u64>()), 0);
+        }
+        Ok(RawLoan::new(self, loaned, private))
+    }
+
+    #[inline]
+    fn check(&self) -> Result<(), Error> {
         self.session.check()?;
-        if self.node.has_ended() {
-            return Err(self.session.ended());
+        if self.node.has_ended() { Err(self.session.ended()) } else { Ok(()) }
+    }
+
+    #[inline]
+    fn is_streamed(&self) -> bool {
+        self.node.is_streamed() || self.is_large()
+    }
+
+    fn is_large(&self) -> bool {
+        self.node.identity.metadata.layout.is_large()
+    }
+
+    pub(crate) fn size_bytes(&self) -> usize {
+        self.node.identity.metadata.layout.size_bytes as usize
+    }
+
+    pub(crate) fn check_queues(&self) -> Result<(), Error> {
+        let Some(full) = self.node.full_stream(self.writer.newest()) else { return Ok(()) };
+        let process = self.session.describe_process(full.peer);
+        Err(Error::QueueFull { node: self.node.name(), process, depth: full.depth })
+    }
+
+    /// Somebody follows the stream: the message goes there too.
+    #[inline(never)]
+    fn publish_and_send(&mut self, message: &[u8]) -> Result<Generation, Error> {
+        let mut loaned = self.loan_from_stream()?;
+        if let Some(loaned) = &mut loaned {
+            loaned.bytes_mut().copy_from_slice(message);
         }
-        match self.node.publish(&mut self.writer, message) {
-            Ok(generation) => Ok(Generation::from_wide(generation)),
-            Err(_) => Err(Error::Busy { node: self.node.name() }),
+        self.commit_and_send(Some(message), loaned)
+    }
+
+    pub(crate) fn publish_loaned(&mut self, loaned: Loaned) -> Result<Generation, Error> {
+        self.check()?;
+        self.commit_and_send(None, Some(loaned))
+    }
+
+    pub(crate) fn publish_private(&mut self, padded: &[u8]) -> Result<Generation, Error> {
+        self.publish(&padded[..self.size_bytes()])
+    }
+
+    /// Keeps the memory of a loan for the next one.
+    pub(crate) fn keep_private(&mut self, words: Vec<u64>) {
+        self.private = words;
+    }
+
+    /// Memory of the stream. None where its port is not open yet: the node has
+    /// the message then, and whoever follows the stream looks there, too.
+    fn loan_from_stream(&self) -> Result<Option<Loaned>, Error> {
+        match (self.port.get().map(Port::loan), self.is_large()) {
+            (Some(Ok(loaned)), _) => Ok(Some(loaned)),
+            // An ordinary message can do without: publishing does not fail
+            // because somebody streams.
+            (_, false) => Ok(None),
+            (Some(Err(error)), true) => Err(error),
+            (None, true) => Err(Error::stream(self.node.name(), "its port is not open")),
         }
+    }
+
+    fn commit_and_send(
+        &mut self,
+        message: Option<&[u8]>,
+        loaned: Option<Loaned>,
+    ) -> Result<Generation, Error> {
+        let published = self.node.publish_and_send(&mut self.writer, message, loaned);
+        if let Some(port) = self.port.get() {
+            port.notify();
+        }
+        published.map(Generation::from_wide).map_err(|_| self.busy())
+    }
+
+    #[cold]
+    fn busy(&self) -> Error {
+        Error::Busy { node: self.node.name() }
     }
 
     #[cold]
@@ -126,7 +245,13 @@ impl RawPublication {
 
 impl Drop for RawPublication {
     fn drop(&mut self) {
+        if self.session.is_forked() {
+            // It is the parent's port.
+            std::mem::forget(self.port.clone());
+            return;
+        }
         self.session.unadvertise(self.handle);
+        self.node.leave_port(self.session.peer(), self.handle);
     }
 }
 
@@ -189,6 +314,25 @@ impl<T: Topic> Publication<T> {
     #[inline]
     pub fn publish(&mut self, message: &T::Message) -> Result<Generation, Error> {
         self.raw.publish(message.as_bytes())
+    }
+
+    /// See [`RawPublication::try_publish`].
+    ///
+    /// # Errors
+    ///
+    /// As [`RawPublication::try_publish`].
+    pub fn try_publish(&mut self, message: &T::Message) -> Result<Generation, Error> {
+        self.raw.try_publish(message.as_bytes())
+    }
+
+    /// The memory of the next message, to be written in place: without a copy
+    /// where somebody follows the stream, and always for a large topic.
+    ///
+    /// # Errors
+    ///
+    /// As [`RawPublication::loan`].
+    pub fn loan(&mut self) -> Result<Loan<'_, T>, Error> {
+        self.raw.loan().map(Loan::new)
     }
 }
 

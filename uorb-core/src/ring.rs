@@ -19,6 +19,10 @@
 //! only: a publisher would have to come round half the ring under its hands to
 //! make it try again.
 //!
+//! A publisher that also sends its messages elsewhere (see `stream.rs`) keeps
+//! the slot until it has sent: `unsent` tells whether a message that is named no
+//! more is still on its way, and reads it meanwhile.
+//!
 //! Generations have 48 bits here. Whatever other processes write, nothing in
 //! this file indexes outside its tables or loops without an end: bounds come
 //! from a [`Geometry`] in private memory.
@@ -35,6 +39,11 @@ pub const PUBLISHERS_MAX: u32 = 16;
 /// The bits of a slot number in an order word, and of a peer in an owner word.
 const LOW_BITS: u32 = 16;
 const LOW_MASK: u64 = (1 << LOW_BITS) - 1;
+
+/// The largest number of a peer. The bit above it says in an owner word that the
+/// message is committed, and its publisher about to send it elsewhere.
+pub const PEER_MAX: u16 = SENDING - 1;
+const SENDING: u16 = 1 << 15;
 
 /// 64-bit words in a cache line, the unit in which the tables are aligned.
 const LINE_WORDS: usize = 8;
@@ -109,6 +118,34 @@ enum Read {
     OverwrittenBy(u64),
 }
 
+/// The slot of a message that is committed and about to be sent elsewhere.
+#[derive(Debug)]
+pub(crate) struct Held<'m> {
+    owner: &'m AtomicU64,
+    pub(crate) generation: u64,
+}
+
+impl Held<'_> {
+    /// The message was sent: gives the slot up.
+    pub(crate) fn sent(self) {
+        // Pairs with the load in `unsent`: who sees the slot free sees what was
+        // sent.
+        self.owner.store(word(self.generation, 0), Ordering::Release);
+    }
+}
+
+/// What became of a message that the order ring names no more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Unsent {
+    /// Its publisher has not sent it yet. It is copied, whole.
+    Read(Stamp),
+    /// Somebody is about to commit this generation, or was and is late: it
+    /// cannot be told from the one who did.
+    Unknown,
+    /// It was sent, or its publisher died, or it never was to be sent.
+    Over,
+}
+
 /// All slots are taken by publishes that other threads have under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Busy;
@@ -121,7 +158,7 @@ pub(crate) struct Corrupt;
 /// A publisher's private memory between two publishes.
 #[derive(Debug)]
 pub(crate) struct Writer {
-    /// Peer number, 1 to 65,535: it owns the slots that this writer claims.
+    /// Peer number, 1 to [`PEER_MAX`]: it owns the slots that this writer claims.
     peer: u16,
     /// Peer and handle: who published, in every slot.
     publisher: u64,
@@ -133,8 +170,18 @@ pub(crate) struct Writer {
 
 impl Writer {
     pub(crate) fn new(peer: u16, handle: u32) -> Self {
-        debug_assert_ne!(peer, 0, "peer 0 marks a free slot");
+        debug_assert!((1..=PEER_MAX).contains(&peer), "peer 0 marks a free slot");
         Self { peer, publisher: Self::publisher(peer, handle), newest: 0, candidate: 0 }
+    }
+
+    /// Who publishes, as [`Stamp`] carries it.
+    pub(crate) fn stamp(&self) -> u64 {
+        self.publisher
+    }
+
+    /// The newest generation that it knows of.
+    pub(crate) fn newest(&self) -> u64 {
+        self.newest
     }
 
     /// Peer and handle in one word, as [`Stamp`] carries it.
@@ -247,6 +294,33 @@ impl<'m> Ring<'m> {
         publish_time_us: u64,
         message: &[u8],
     ) -> Result<u64, Busy> {
+        let (generation, owner) = self.write_and_commit(writer, publish_time_us, message)?;
+        // The slot is free for whoever finds it displaced, N commits from now.
+        owner.store(word(generation, 0), Ordering::Release);
+        Ok(generation)
+    }
+
+    /// As `publish`, for a message that is also to be sent elsewhere: the slot is
+    /// kept, marked, until it was.
+    pub(crate) fn publish_unsent(
+        &self,
+        writer: &mut Writer,
+        publish_time_us: u64,
+        message: &[u8],
+    ) -> Result<Held<'m>, Busy> {
+        let (generation, owner) = self.write_and_commit(writer, publish_time_us, message)?;
+        let sending = word(generation, u64::from(writer.peer | SENDING));
+        owner.store(sending, Ordering::Release);
+        Ok(Held { owner, generation })
+    }
+
+    #[inline(always)]
+    fn write_and_commit(
+        &self,
+        writer: &mut Writer,
+        publish_time_us: u64,
+        message: &[u8],
+    ) -> Result<(u64, &'m AtomicU64), Busy> {
         debug_assert_eq!(message.len(), self.geometry.message_bytes);
         let (index, slot) = self.claim(writer)?;
         // Pairs with the acquire fence in `read`: a reader that sees one word of
@@ -257,11 +331,9 @@ impl<'m> Ring<'m> {
         store_words(&slot[PAYLOAD..], message);
 
         let (generation, displaced) = self.commit(writer, index, slot);
-        // The slot is free for whoever finds it displaced, N commits from now.
-        slot[OWNER].store(word(generation, 0), Ordering::Release);
         writer.newest = generation;
         writer.candidate = displaced;
-        Ok(generation)
+        Ok((generation, &slot[OWNER]))
     }
 
     /// Takes a slot that nobody owns and no order word names: its generation is
@@ -298,7 +370,8 @@ impl<'m> Ring<'m> {
         if owner & LOW_MASK != 0 || !displaced {
             return None;
         }
-        let ours = word(generation, u64::from(writer.peer));
+        // Of no generation yet: `unsent` must not take it for the old one's.
+        let ours = word(0, u64::from(writer.peer));
         // Acquire pairs with the release that freed the slot: its last owner has
         // finished writing.
         slot[OWNER]
@@ -386,10 +459,7 @@ impl<'m> Ring<'m> {
         if generation_of(before) < generation {
             return Err(Corrupt);
         }
-        let stamp = Stamp {
-            publish_time_us: slot[PUBLISH_TIME].load(Ordering::Relaxed),
-            publisher: slot[PUBLISHER].load(Ordering::Relaxed),
-        };
+        let stamp = read_stamp(slot);
         load_words(&slot[PAYLOAD..], into);
         // Pairs with the release fence in `publish`: if any word came from a
         // later message in this slot, the order word has changed.
@@ -402,6 +472,79 @@ impl<'m> Ring<'m> {
         // must see what came before it.
         fence(Ordering::Acquire);
         Ok(Read::OverwrittenBy(generation_of(after)))
+    }
+
+    /// Copies one generation, if the order ring still names it: also one that is
+    /// older than the newest Q.
+    pub(crate) fn read_exactly(
+        &self,
+        generation: u64,
+        into: &mut [MaybeUninit<u8>],
+    ) -> Result<Option<Stamp>, Corrupt> {
+        if into.len() != self.geometry.message_bytes {
+            return Err(Corrupt);
+        }
+        match self.read(generation, into)? {
+            Read::Whole(stamp) => Ok(Some(stamp)),
+            Read::OverwrittenBy(_) => Ok(None),
+        }
+    }
+
+    /// The oldest generation that the order ring names, when `newest` is the
+    /// newest.
+    pub(crate) fn oldest_named(&self, newest: u64) -> u64 {
+        newest.saturating_sub(self.geometry.order_words as u64 - 1).max(self.base + 1)
+    }
+
+    /// What became of a message that the order ring names no more. Its publisher
+    /// holds the slot until it has sent it, and nobody else may write there.
+    pub(crate) fn unsent(&self, generation: u64, into: &mut [MaybeUninit<u8>]) -> Unsent {
+        let mut outcome = Unsent::Over;
+        for index in 0..self.geometry.slots {
+            let Some(slot) = self.slot(index) else { break };
+            // Pairs with the stores that mark and free the slot: who sees it
+            // free sees that the message was sent.
+            let owner = slot[OWNER].load(Ordering::Acquire);
+            if generation_of(owner) != generation || owner & LOW_MASK == 0 {
+                continue;
+            }
+            if owner & u64::from(SENDING) == 0 {
+                outcome = Unsent::Unknown;
+                continue;
+            }
+            let stamp = read_stamp(slot);
+            load_words(&slot[PAYLOAD..], into);
+            // Pairs with the release fence in `publish`, as in `read`.
+            fence(Ordering::Acquire);
+            if slot[OWNER].load(Ordering::Relaxed) == owner {
+                return Unsent::Read(stamp);
+            }
+            // It was sent meanwhile.
+            return Unsent::Over;
+        }
+        outcome
+    }
+
+    /// The least generation from `from` on whose publisher holds a slot, before
+    /// or after its commit.
+    pub(crate) fn least_unsent(&self, from: u64) -> Option<u64> {
+        let slots = (0..self.geometry.slots).filter_map(|index| self.slot(index));
+        let owners = slots.map(|slot| slot[OWNER].load(Ordering::Acquire));
+        let held = owners.filter(|owner| owner & LOW_MASK != 0).map(generation_of);
+        held.filter(|generation| *generation >= from).min()
+    }
+
+    /// Slots that publishers have in their hands now: which, and as whose.
+    pub(crate) fn claimed(&self) -> Vec<(usize, u64)> {
+        let slots = 0..self.geometry.slots;
+        let owners = slots.filter_map(|index| Some((index, self.slot(index)?)));
+        let owners = owners.map(|(index, slot)| (index, slot[OWNER].load(Ordering::Acquire)));
+        owners.filter(|(_, owner)| owner & LOW_MASK != 0).collect()
+    }
+
+    /// Whether one of them is still in the same hands, at the same step.
+    pub(crate) fn is_claimed(&self, (index, owner): (usize, u64)) -> bool {
+        self.slot(index).is_some_and(|slot| slot[OWNER].load(Ordering::Acquire) == owner)
     }
 
     /// The stamp of the newest message, without the message.
@@ -424,7 +567,7 @@ impl<'m> Ring<'m> {
         for index in 0..self.geometry.slots {
             let Some(slot) = self.slot(index) else { return };
             let owner = slot[OWNER].load(Ordering::Acquire);
-            if owner & LOW_MASK != u64::from(peer) {
+            if owner & u64::from(PEER_MAX) != u64::from(peer) {
                 continue;
             }
             // It died before its commit, and then the slot is not named and may
@@ -438,9 +581,17 @@ impl<'m> Ring<'m> {
     }
 }
 
+#[inline(always)]
+fn read_stamp(slot: &[AtomicU64]) -> Stamp {
+    Stamp {
+        publish_time_us: slot[PUBLISH_TIME].load(Ordering::Relaxed),
+        publisher: slot[PUBLISHER].load(Ordering::Relaxed),
+    }
+}
+
 /// Writes a message into words that others may be reading: each word whole.
 #[inline(always)]
-fn store_words(words: &[AtomicU64], message: &[u8]) {
+pub(crate) fn store_words(words: &[AtomicU64], message: &[u8]) {
     let (whole, rest) = message.as_chunks::<8>();
     for (word, bytes) in words.iter().zip(whole) {
         word.store(u64::from_ne_bytes(*bytes), Ordering::Relaxed);
@@ -454,7 +605,7 @@ fn store_words(words: &[AtomicU64], message: &[u8]) {
 
 /// Reads a message from words that others may be writing: each word whole.
 #[inline(always)]
-fn load_words(words: &[AtomicU64], into: &mut [MaybeUninit<u8>]) {
+pub(crate) fn load_words(words: &[AtomicU64], into: &mut [MaybeUninit<u8>]) {
     let (whole, rest) = into.as_chunks_mut::<8>();
     let whole_words = whole.len();
     for (word, bytes) in words.iter().zip(whole) {

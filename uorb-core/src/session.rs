@@ -11,6 +11,8 @@ use crate::layout::Layout;
 use crate::link::{Link, Waiting, unexpected};
 use crate::node::{Node, Role};
 use crate::protocol::{Advertise, PeerInfo, Reply, Request, Subject, Subscribe};
+use crate::stream::Member;
+use crate::stream::port::{PortCell, Streamable};
 use crate::system::System;
 use crate::topic::{Instance, Metadata};
 
@@ -165,8 +167,52 @@ impl Session {
         })
     }
 
+    /// Where a publication finds its port to the stream, when there is one. It
+    /// is opened now if somebody follows the stream already, or always will.
+    pub(crate) fn port(&self, handle: u32, node: &Arc<Node>) -> Result<Arc<PortCell>, Error> {
+        let link = &self.inner.link;
+        let cell = Arc::new(PortCell::default());
+        let publisher = (self.peer(), handle);
+        let streamable = Streamable { cell: cell.clone(), node: node.clone(), publisher };
+        link.add_streamable(handle, streamable);
+        // After it is noted: who begins to follow from now on has the broker
+        // tell the session's thread.
+        let is_large = node.identity.metadata.layout.is_large();
+        if is_large || node.is_streamed() {
+            let opened = link.open_port(handle);
+            if is_large {
+                opened?;
+            }
+        }
+        Ok(cell)
+    }
+
+    /// Asks for a place among the streams of a node that is subscribed already.
+    pub(crate) fn stream(&self, subscribe: Subscribe) -> Result<u8, Error> {
+        match self.ask(Request::Subscribe(subscribe))? {
+            Reply::Streaming { place } => Ok(place),
+            reply => Err(unexpected(reply)),
+        }
+    }
+
+    /// Tells publishers, by way of the broker, that a subscription has its queue.
+    pub(crate) fn follows(&self, handle: u32) {
+        self.inner.link.tell(Request::Following { handle });
+    }
+
+    /// This process as a member of the world of the system's streams.
+    pub(crate) fn member(&self) -> Result<Arc<Member>, Error> {
+        self.inner.link.member()
+    }
+
+    /// A process of this system by name and process id, for people.
+    pub(crate) fn describe_process(&self, peer: u16) -> String {
+        self.inner.link.describe_process(peer)
+    }
+
     /// Stops being a publisher.
     pub(crate) fn unadvertise(&self, handle: u32) {
+        self.inner.link.remove_streamable(handle);
         self.inner.link.forget(handle, Request::Unadvertise { handle });
     }
 
@@ -184,7 +230,7 @@ impl Session {
         if let Some(waiting) = &waiting {
             self.inner.link.wait(handle, waiting.clone());
         }
-        let subscribe = Subscribe { handle, subject: subject.clone(), instance };
+        let subscribe = Subscribe { handle, subject: subject.clone(), instance, stream: None };
         let followed =
             self.ask(Request::Subscribe(subscribe)).and_then(|reply| match (reply, waiting) {
                 (Reply::Subscribed, _) => self
@@ -242,6 +288,7 @@ impl Drop for Inner {
         // In the child of a fork the thread does not exist, and the event that
         // would end it is the parent's.
         if self.link.is_forked() {
+            self.link.forget_member();
             return;
         }
         self.link.quit();

@@ -13,6 +13,7 @@
 #![allow(unsafe_code)]
 
 mod readable;
+mod streaming;
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -33,6 +34,8 @@ use crate::node::{Node, Role};
 use crate::protocol::Subject;
 use crate::ring::Taken;
 use crate::session::{Followed, Session};
+use crate::stream::reader::Reader;
+use crate::stream_subscription::StreamOptions;
 use crate::topic::{Instance, Metadata, Priority, Topic};
 
 /// A subscription to a topic whose layout is known at run time only. What it
@@ -50,6 +53,11 @@ pub struct RawSubscription {
     /// The ring contradicts itself: nothing can be copied from it.
     is_corrupt: bool,
     waiting: Option<Arc<Waiting>>,
+    /// How it asked to follow the stream, if it did.
+    stream: Option<StreamOptions>,
+    /// Its end of the stream: of every large topic's subscription, too. Before
+    /// the session: it goes before the process's membership.
+    reader: Option<Box<Reader>>,
     topic: String,
     instance: Instance,
     session: Session,
@@ -75,7 +83,7 @@ impl RawSubscription {
     ///
     /// [`Error::Refused`] for a name that is none; [`Error::NoBroker`].
     pub fn subscribe(session: &Session, topic: &str, instance: Instance) -> Result<Self, Error> {
-        Self::follow(session, Subject::Named(topic.to_string()), instance)
+        Self::follow(session, Subject::Named(topic.to_string()), instance, None)
     }
 
     /// Follows a topic that somebody has described already; None where nobody
@@ -92,21 +100,27 @@ impl RawSubscription {
     ) -> Result<Option<Self>, Error> {
         match session.describe(topic) {
             Ok(metadata) => {
-                Self::follow(session, Subject::Named(metadata.name.into()), instance).map(Some)
+                Self::follow(session, Subject::Named(metadata.name.into()), instance, None)
+                    .map(Some)
             }
             Err(Error::NoNode { .. }) => Ok(None),
             Err(error) => Err(error),
         }
     }
 
-    fn follow(session: &Session, subject: Subject, instance: Instance) -> Result<Self, Error> {
+    pub(crate) fn follow(
+        session: &Session,
+        subject: Subject,
+        instance: Instance,
+        stream: Option<StreamOptions>,
+    ) -> Result<Self, Error> {
         let topic = subject.name().to_string();
         let (handle, followed) = session.subscribe(subject, instance)?;
         let (node, waiting) = match followed {
             Followed::Node(node) => (Some(node), None),
             Followed::Waiting(waiting) => (None, Some(waiting)),
         };
-        Ok(Self {
+        let mut subscription = Self {
             cursor: node.as_ref().map_or(0, |node| node.cursor_of_newcomer()),
             node,
             pace: None,
@@ -115,11 +129,17 @@ impl RawSubscription {
             last: None,
             is_corrupt: false,
             waiting,
+            stream,
+            reader: None,
             topic,
             instance,
             session: session.clone(),
             handle,
-        })
+        };
+        if let Some(node) = subscription.node.clone() {
+            subscription.open_reader(&node)?;
+        }
+        Ok(subscription)
     }
 
     /// Whether there is anything that was not copied yet, and its interval, if
@@ -170,6 +190,7 @@ impl RawSubscription {
         // The node was made after the subscription, and so was all that was
         // ever published on it.
         self.cursor = node.identity.base;
+        self.open_reader(&node)?;
         self.node = Some(node);
         self.waiting = None;
         Ok(true)
@@ -198,6 +219,9 @@ impl RawSubscription {
     /// that all of it was written.
     #[inline(always)]
     fn take_into(&mut self, into: &mut [MaybeUninit<u8>]) -> bool {
+        if self.reader.is_some() {
+            return self.take_from_stream(into);
+        }
         let Some(node) = &self.node else { return false };
         let taken = match node.take(self.cursor, into) {
             Ok(Some(taken)) => taken,
@@ -228,6 +252,18 @@ impl RawSubscription {
             self.settle();
         }
         true
+    }
+
+    #[inline(never)]
+    fn take_from_stream(&mut self, into: &mut [MaybeUninit<u8>]) -> bool {
+        self.advance();
+        match self.current() {
+            Some(message) if message.len() == into.len() => {
+                into.write_copy_of_slice(message);
+                true
+            }
+            _ => false,
+        }
     }
 
     /// What hinders it from ever being updated: the session is not this
@@ -269,7 +305,7 @@ impl RawSubscription {
 
     /// Messages that were overwritten before this subscription copied them.
     pub fn lost(&self) -> u64 {
-        self.lost
+        self.lost + self.reader.as_ref().map_or(0, |reader| reader.lost())
     }
 
     /// What is known of the message that was copied last.
@@ -327,6 +363,10 @@ impl RawSubscription {
 
 impl Drop for RawSubscription {
     fn drop(&mut self) {
+        if self.session.is_forked() {
+            // It is the parent's end of the stream.
+            std::mem::forget(self.reader.take());
+        }
         self.session.unsubscribe(self.handle);
     }
 }
@@ -360,7 +400,7 @@ impl<T: Topic> Subscription<T> {
     #[doc(alias = "orb_subscribe_multi")]
     pub fn subscribe_instance(session: &Session, instance: Instance) -> Result<Self, Error> {
         let subject = Subject::Described(T::METADATA.clone());
-        let raw = RawSubscription::follow(session, subject, instance)?;
+        let raw = RawSubscription::follow(session, subject, instance, None)?;
         Ok(Self { raw, topic: PhantomData })
     }
 

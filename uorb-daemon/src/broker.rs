@@ -7,11 +7,13 @@
 mod connections;
 mod deaths;
 mod nodes;
+mod streaming;
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::MetadataExt;
+use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use nix::errno::Errno;
@@ -22,11 +24,13 @@ use nix::sys::signalfd::{SfdFlags, SignalFd};
 use nix::sys::timerfd::{ClockId, TimerFd, TimerFlags};
 use tracing::{info, warn};
 use uorb_core::broker_side::{Ending, FromBroker, Node, boot_id, listen_as_broker};
-use uorb_core::{System, now_us};
+use uorb_core::{System, World, now_us};
 
 use crate::connection::Connection;
 use crate::directory::{self, Survivor};
 use crate::registry::{NodeKey, Registry};
+use crate::streams::Streams;
+use streaming::Streaming;
 
 /// Everything that can wake the broker.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +41,8 @@ enum Event {
     Signal,
     /// Something happened to the lock file: was the directory removed?
     Directory,
+    /// The streams' thread has news.
+    Streams,
     /// Time to look at processes whose death nobody would report.
     Doubt,
     /// A connection can be read, written, or has hung up.
@@ -52,6 +58,7 @@ impl Event {
             Self::Signal => 1,
             Self::Directory => 2,
             Self::Doubt => 3,
+            Self::Streams => 4,
             Self::Connection(number) => 1 << 32 | u64::from(number),
             Self::Death(peer) => 2 << 32 | u64::from(peer),
         }
@@ -68,6 +75,7 @@ impl Event {
             (_, 0) => Self::Connecting,
             (_, 1) => Self::Signal,
             (_, 2) => Self::Directory,
+            (_, 4) => Self::Streams,
             _ => Self::Doubt,
         }
     }
@@ -80,7 +88,12 @@ pub(crate) struct Broker {
     boot_id: [u8; 16],
     started_us: u64,
     registry: Registry,
-    nodes: BTreeMap<NodeKey, Node>,
+    nodes: BTreeMap<NodeKey, Arc<Node>>,
+    world: World,
+    /// None once the system has ended.
+    streams: Option<Streams>,
+    /// Nodes whose streams are there, or cannot be, and why.
+    streaming: HashMap<NodeKey, Streaming>,
     epoll: Epoll,
     listener: OwnedFd,
     signals: SignalFd,
@@ -120,6 +133,8 @@ impl Broker {
         directory
             .add_watch(&system.lock(), AddWatchFlags::IN_ATTRIB)
             .context("cannot watch the lock file")?;
+        let world = World::of(&system);
+        let streams = Streams::start(system.clone(), world.clone())?;
         let timer_flags = TimerFlags::TFD_CLOEXEC | TimerFlags::TFD_NONBLOCK;
         let mut broker = Self {
             system_id,
@@ -127,6 +142,9 @@ impl Broker {
             started_us: now_us(),
             registry: Registry::default(),
             nodes: BTreeMap::new(),
+            world,
+            streams: Some(streams),
+            streaming: HashMap::new(),
             epoll: Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).context("cannot make an epoll")?,
             listener,
             signals: SignalFd::with_flags(&stop, SfdFlags::SFD_CLOEXEC | SfdFlags::SFD_NONBLOCK)
@@ -150,6 +168,9 @@ impl Broker {
         epoll.add(&broker.signals, Event::Signal.readable())?;
         epoll.add(&broker.directory, Event::Directory.readable())?;
         epoll.add(&broker.doubt, Event::Doubt.readable())?;
+        if let Some(streams) = &broker.streams {
+            epoll.add(&*streams.event, Event::Streams.readable())?;
+        }
         broker.adopt(living)?;
         Ok(broker)
     }
@@ -180,6 +201,7 @@ impl Broker {
                 self.pidfds.remove(&peer);
                 self.bury(peer);
             }
+            Event::Streams => self.hear_streams(),
             Event::Doubt => self.look_at_the_doubtful(),
             Event::Signal => {
                 let _ = self.signals.read_signal();
@@ -214,6 +236,9 @@ impl Broker {
         for (key, node) in &self.nodes {
             ring(key, node);
         }
+        // Gives the streams up, and what iceoryx2 has for them.
+        self.streams = None;
+        self.world.remove();
         directory::remove(&self.system);
     }
 

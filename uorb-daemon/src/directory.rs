@@ -14,8 +14,8 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
-use uorb_core::System;
 use uorb_core::broker_side::{Ending, NODE_FILE_VERSION, Node, Role, boot_id};
+use uorb_core::{System, World};
 
 /// What a broker that starts has found.
 pub(crate) enum Found {
@@ -72,6 +72,7 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
     }
 
     empty(system)?;
+    World::of(system).remove();
     for dir in [system.nodes(), system.bells(), system.peers(), system.unfinished()] {
         make_ours(&dir)?;
     }
@@ -126,7 +127,7 @@ fn make_ours(dir: &Path) -> anyhow::Result<()> {
 
 /// A directory with other things in it is not a system's: it would be emptied.
 fn refuse_strangers(system: &System) -> anyhow::Result<()> {
-    const OURS: [&str; 8] = [
+    const OURS: [&str; 9] = [
         "broker.sock",
         "broker.lock",
         "broker.log",
@@ -135,6 +136,7 @@ fn refuse_strangers(system: &System) -> anyhow::Result<()> {
         "bell",
         "peers",
         ".tmp",
+        "iox2",
     ];
     let dir = system.dir();
     for entry in fs::read_dir(&dir).with_context(|| format!("cannot read {}", dir.display()))? {

@@ -33,3 +33,11 @@ pub(crate) const RUNNING_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How often processes are looked at that live without a connection.
 pub(crate) const DOUBT_INTERVAL: Duration = Duration::from_secs(1);
+
+/// How often the streams are looked at for foreign programs: one that begins to
+/// follow a stream misses what is published until it is seen.
+pub(crate) const LOOK_INTERVAL: Duration = Duration::from_millis(100);
+
+/// How often iceoryx2 cleans up after dead foreign programs. After processes of
+/// ours it does at once.
+pub(crate) const CLEAN_UP_INTERVAL: Duration = Duration::from_secs(2);

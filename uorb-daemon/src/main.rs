@@ -8,6 +8,7 @@ mod directory;
 mod limits;
 mod log;
 mod registry;
+mod streams;
 
 use std::fs::File;
 use std::io::Write;

@@ -10,10 +10,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use uorb_core::broker_side::{
-    Advertise, Claim, Mismatch, PUBLISHERS_MAX, PeerInfo, PublisherEntry, Refusal, Subject,
-    Subscribe, Users,
+    Advertise, Claim, Mismatch, PEER_MAX, PUBLISHERS_MAX, PeerInfo, PublisherEntry, Refusal,
+    StreamEntry, Subject, Subscribe, Users, Wish,
 };
-use uorb_core::{INSTANCES_MAX, Instance, Layout, Metadata, Priority, is_topic_name};
+use uorb_core::{INSTANCES_MAX, Instance, Layout, Metadata, Priority, STREAMS_MAX, is_topic_name};
 
 use crate::limits::{HANDLES_MAX, NODES_MAX, PEERS_MAX, USERS_NAMED_MAX};
 
@@ -60,6 +60,8 @@ struct Topic {
 struct Node {
     publishers: Vec<PublisherEntry>,
     subscribers: BTreeSet<(u16, u32)>,
+    /// Subscribers that follow the stream too, each at its place.
+    streams: [Option<StreamEntry>; STREAMS_MAX],
 }
 
 /// What must be there before a request is granted.
@@ -98,11 +100,11 @@ impl Registry {
             let what = "processes".into();
             return Err(Refusal::Limit { what, limit: PEERS_MAX as u32 });
         }
-        // Numbers come round after 65,535 processes; 0 is nobody.
+        // Numbers come round; 0 is nobody.
         let mut number = self.last_peer;
         loop {
-            number = number.wrapping_add(1);
-            if number != 0 && !self.peers.contains_key(&number) {
+            number = number % PEER_MAX + 1;
+            if !self.peers.contains_key(&number) {
                 break;
             }
         }
@@ -157,6 +159,11 @@ impl Registry {
         }
     }
 
+    /// Its process id; 0 where the kernel does not say.
+    pub(crate) fn pid_of(&self, number: u16) -> u32 {
+        self.peers.get(&number).map_or(0, |peer| peer.pid)
+    }
+
     pub(crate) fn is_known(&self, number: u16) -> bool {
         self.peers.contains_key(&number)
     }
@@ -174,11 +181,20 @@ impl Registry {
         metadata: Metadata,
         instance: Instance,
         publishers: Vec<PublisherEntry>,
+        streams: Vec<Option<StreamEntry>>,
     ) {
         let key = (metadata.name.to_string(), instance);
         self.add_node(metadata, instance);
         for publisher in publishers {
             self.add_publisher(&key, publisher);
+        }
+        for (place, entry) in (0..).zip(streams) {
+            let Some(StreamEntry { peer, handle, depth, back_pressure }) = entry else { continue };
+            if self.is_known(peer) {
+                self.add_subscriber(&key, peer, handle);
+                let wish = Wish { depth, back_pressure, place: Some(place) };
+                let _ = self.add_stream(&key, peer, handle, wish);
+            }
         }
     }
 
@@ -333,6 +349,50 @@ impl Registry {
         }
     }
 
+    /// Gives a subscriber a place among the node's streams, or the one that it
+    /// has.
+    pub(crate) fn add_stream(
+        &mut self,
+        key: &NodeKey,
+        peer: u16,
+        handle: u32,
+        wish: Wish,
+    ) -> Result<u8, Refusal> {
+        let Wish { depth, back_pressure, place } = wish;
+        let Some(node) = self.node_mut(key) else {
+            return Err(Refusal::OutOfOrder { what: "stream".into() });
+        };
+        let is_ours = |entry: &StreamEntry| (entry.peer, entry.handle) == (peer, handle);
+        let is_free = |place: &usize| node.streams.get(*place).is_some_and(Option::is_none);
+        let held = node.streams.iter().position(|entry| entry.as_ref().is_some_and(is_ours));
+        let place = held
+            .or(place.map(usize::from).filter(is_free))
+            .or_else(|| (0..STREAMS_MAX).find(is_free))
+            .ok_or_else(|| Refusal::Limit {
+                what: format!("subscriptions to the stream of {}{}", key.0, key.1),
+                limit: STREAMS_MAX as u32,
+            })?;
+        node.streams[place] = Some(StreamEntry { peer, handle, depth, back_pressure });
+        Ok(place as u8)
+    }
+
+    /// Who follows a node's stream, each at its place.
+    pub(crate) fn streams(&self, key: &NodeKey) -> &[Option<StreamEntry>] {
+        match self.topics.get(&key.0).and_then(|topic| topic.nodes.get(&key.1)) {
+            Some(node) => &node.streams,
+            None => &[],
+        }
+    }
+
+    /// The node that a handle stands for, and whether it publishes there.
+    pub(crate) fn node_of(&self, peer: u16, handle: u32) -> Option<(&NodeKey, bool)> {
+        match self.held(peer, handle)? {
+            Held::Publication(key) => Some((key, true)),
+            Held::Subscription(key) => Some((key, false)),
+            Held::Waiting(..) => None,
+        }
+    }
+
     /// Enters a subscription that waits for its topic.
     pub(crate) fn add_waiting(&mut self, number: u16, wanted: &Subscribe) {
         let topic = wanted.subject.name().to_string();
@@ -408,6 +468,9 @@ impl Registry {
             Held::Subscription(key) => {
                 if let Some(node) = self.node_mut(&key) {
                     node.subscribers.remove(&(number, handle));
+                    for place in &mut node.streams {
+                        place.take_if(|entry| (entry.peer, entry.handle) == (number, handle));
+                    }
                 }
                 estate.subscribed.push(key);
             }
@@ -540,11 +603,12 @@ mod tests {
 
     fn by_name(handle: u32, name: &str) -> Subscribe {
         let subject = Subject::Named(name.into());
-        Subscribe { handle, subject, instance: Instance::FIRST }
+        Subscribe { handle, subject, instance: Instance::FIRST, stream: None }
     }
 
     fn described(handle: u32, metadata: Metadata) -> Subscribe {
-        Subscribe { handle, subject: Subject::Described(metadata), instance: Instance::FIRST }
+        let subject = Subject::Described(metadata);
+        Subscribe { handle, subject, instance: Instance::FIRST, stream: None }
     }
 
     /// What the broker does with a plan, without the files.
@@ -639,7 +703,7 @@ mod tests {
     fn whoever_has_not_re_joined_may_use_any_layout() {
         let mut registry = Registry::default();
         registry.adopt_peer(5, 100, "sleeper".into());
-        registry.adopt_node(metadata("accel", "x"), Instance::FIRST, Vec::new());
+        registry.adopt_node(metadata("accel", "x"), Instance::FIRST, Vec::new(), Vec::new());
         let new = registry.join(101, "newcomer".into()).unwrap();
         assert_eq!(new, 6, "numbers of the living are not given again");
         let other = described(1, metadata("accel", "y"));
@@ -659,7 +723,7 @@ mod tests {
         registry.adopt_peer(5, 100, "sensors".into());
         let entry = |handle| PublisherEntry { peer: 5, handle, priority: Priority::DEFAULT };
         let both = vec![entry(1), entry(2)];
-        registry.adopt_node(metadata("accel", "x"), Instance::FIRST, both);
+        registry.adopt_node(metadata("accel", "x"), Instance::FIRST, both, Vec::new());
         registry.rejoin(5, 100, "sensors".into());
         assert_eq!(grant(&mut registry, 5, &advertise(2, FIRST)), Ok(0));
 

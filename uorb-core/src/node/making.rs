@@ -98,10 +98,11 @@ impl Node {
         words[counts::PUBLISHERS].store(publishers.len() as u64, Ordering::Release);
     }
 
-    /// Gives back the slots of a peer that is proven dead.
+    /// Gives back the slots and ports of a peer that is proven dead.
     pub fn free_slots_of(&self, peer: u16) {
         if let Some(mapped) = self.ring() {
             mapped.ring.free_slots_of(peer);
+            self.leave_ports_of(peer);
         }
     }
 

@@ -15,6 +15,7 @@ use super::{RawSubscription, Subscription};
 use crate::clock::now_us;
 use crate::descriptor::Descriptor;
 use crate::error::Error;
+use crate::node::Node;
 use crate::topic::Topic;
 
 impl RawSubscription {
@@ -65,10 +66,19 @@ impl RawSubscription {
     }
 
     pub(crate) fn descriptor(&self) -> Result<&Descriptor, Error> {
+        self.descriptor_of(self.node.as_deref())
+    }
+
+    /// The descriptor, with the bell of a node that is about to be followed.
+    pub(super) fn descriptor_for(&self, node: &Node) -> Result<&Descriptor, Error> {
+        self.descriptor_of(Some(node))
+    }
+
+    fn descriptor_of(&self, node: Option<&Node>) -> Result<&Descriptor, Error> {
         if let Some(descriptor) = self.descriptor.get() {
             return Ok(descriptor);
         }
-        let made = Descriptor::new(self.node.as_deref(), self.waiting.as_deref());
+        let made = Descriptor::new(node, self.waiting.as_deref());
         // The bell goes with its system: then that is what there is to say.
         let made = made.or_else(|error| self.check().and(Err(error)))?;
         Ok(self.descriptor.get_or_init(|| made))

@@ -13,11 +13,13 @@ use uorb_core::broker_side::{
 };
 
 use super::nodes::failed;
+use super::streaming::Answer;
 use super::{Broker, Event};
 use crate::connection::{Connection, CutOff};
 use crate::directory;
 use crate::limits::{CONNECTIONS_MAX, PACKETS_A_TURN};
 use crate::registry::Estate;
+use crate::streams::Order;
 
 impl Broker {
     pub(super) fn accept(&mut self) {
@@ -103,7 +105,11 @@ impl Broker {
     fn answer(&mut self, number: u32, request_number: u32, request: Request) -> bool {
         let stops = request == Request::Stop;
         let reply = match self.grant(number, request) {
-            Ok(reply) => reply,
+            Ok(Answer::Now(reply)) => reply,
+            Ok(Answer::Later(key, reply)) => {
+                self.wait_for_stream(key, (number, request_number, reply));
+                return true;
+            }
             Err(refusal) => {
                 self.log_refusal(number, &refusal);
                 Reply::Refused(refusal)
@@ -118,35 +124,51 @@ impl Broker {
         sent && !stops
     }
 
-    fn grant(&mut self, number: u32, request: Request) -> Result<Reply, Refusal> {
+    fn grant(&mut self, number: u32, request: Request) -> Result<Answer, Refusal> {
         let peer = self.connections.get(&number).and_then(|connection| connection.peer);
         let Some(peer) = peer else {
             return match request {
-                Request::Join(join) => self.join(number, join),
+                Request::Join(join) => self.join(number, join).map(Answer::Now),
                 other => Err(Refusal::OutOfOrder { what: format!("{other:?}") }),
             };
         };
-        match request {
-            Request::Join(_) => Err(Refusal::OutOfOrder { what: "join".into() }),
+        let reply = match request {
+            Request::Join(_) => return Err(Refusal::OutOfOrder { what: "join".into() }),
+            Request::Advertise(wanted) => return self.advertise(peer, wanted),
+            Request::Subscribe(wanted) => return self.subscribe(peer, &wanted),
             Request::Rejoined => {
-                let Estate { advertised, subscribed } = self.registry.rejoined(peer);
-                advertised.iter().chain(&subscribed).for_each(|key| self.update_counts(key));
-                Ok(Reply::Done)
+                let estate = self.registry.rejoined(peer);
+                self.give_back(&estate)
             }
-            Request::Advertise(wanted) => self.advertise(peer, wanted),
-            Request::Subscribe(wanted) => self.subscribe(peer, &wanted),
             Request::Unadvertise { handle } | Request::Unsubscribe { handle } => {
-                let Estate { advertised, subscribed } = self.registry.release(peer, handle);
-                advertised.iter().chain(&subscribed).for_each(|key| self.update_counts(key));
-                Ok(Reply::Done)
+                let estate = self.registry.release(peer, handle);
+                self.give_back(&estate)
             }
-            Request::Status => Ok(Reply::Status(self.status())),
-            Request::Peers => Ok(Reply::Peers(self.registry.peers())),
+            Request::Following { handle } => {
+                self.tell_of_follower(peer, handle);
+                Reply::Done
+            }
+            Request::Port { handle, failure } => {
+                self.note_port(peer, handle, failure);
+                Reply::Done
+            }
+            Request::Status => Reply::Status(self.status()),
+            Request::Peers => Reply::Peers(self.registry.peers()),
             Request::Users { topic, instance } => {
-                Ok(Reply::Users(self.registry.users(&topic, instance)))
+                Reply::Users(self.registry.users(&topic, instance))
             }
-            Request::Stop => Ok(Reply::Done),
+            Request::Stop => Reply::Done,
+        };
+        Ok(Answer::Now(reply))
+    }
+
+    /// A living process holds something no more.
+    fn give_back(&mut self, estate: &Estate) -> Reply {
+        for key in &estate.advertised {
+            self.order(Order::Save(key.clone()));
         }
+        estate.advertised.iter().chain(&estate.subscribed).for_each(|key| self.update_counts(key));
+        Reply::Done
     }
 
     pub(super) fn join(&mut self, number: u32, join: Join) -> Result<Reply, Refusal> {
@@ -184,11 +206,13 @@ impl Broker {
         if let Some(pidfd) = pidfd {
             self.watch_process(peer, pidfd);
         }
+        self.order(Order::Joined(pid));
         self.connected.insert(peer, number);
         if let Some(connection) = self.connections.get_mut(&number) {
             connection.peer = Some(peer);
         }
-        Ok(Reply::Welcome { peer, system_id: self.system_id })
+        let (system_id, world) = (self.system_id, self.world.clone());
+        Ok(Reply::Welcome { peer, system_id, world })
     }
 
     /// Sends to a connection. False: it is gone.

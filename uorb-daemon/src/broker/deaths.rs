@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::os::fd::OwnedFd;
+use std::sync::Arc;
 
 use nix::sys::time::TimeSpec;
 use nix::sys::timerfd::{Expiration, TimerSetTimeFlags};
@@ -18,6 +19,7 @@ use crate::connection::pidfd_of;
 use crate::directory::{self, Life, Survivor};
 use crate::limits::DOUBT_INTERVAL;
 use crate::registry::{Estate, NodeKey};
+use crate::streams::Order;
 
 impl Broker {
     pub(super) fn watch_process(&mut self, peer: u16, pidfd: OwnedFd) {
@@ -37,7 +39,13 @@ impl Broker {
             return self.arm_doubt();
         }
         let name = self.registry.name_of(peer);
+        let pid = self.registry.pid_of(peer);
         let Estate { advertised, subscribed } = self.registry.bury(peer);
+        // What it published last, before iceoryx2 cleans up after it.
+        for key in &advertised {
+            self.order(Order::Save(key.clone()));
+        }
+        self.order(Order::Died(pid));
         for key in &advertised {
             if let Some(node) = self.nodes.get(key) {
                 node.free_slots_of(peer);
@@ -91,6 +99,7 @@ impl Broker {
     pub(super) fn adopt(&mut self, living: Vec<Survivor>) -> anyhow::Result<()> {
         for Survivor { peer, pid, name } in living {
             self.registry.adopt_peer(peer, pid, name);
+            self.order(Order::Joined(pid));
             if let Some(pidfd) = pidfd_of(pid) {
                 self.watch_process(peer, pidfd);
             }
@@ -163,8 +172,10 @@ impl Broker {
             info!("{}{}: publisher {} died meanwhile", key.0, key.1, publisher.peer);
             node.free_slots_of(publisher.peer);
         }
-        self.registry.adopt_node(node.identity.metadata.clone(), key.1, living);
-        self.nodes.insert(key.clone(), node);
+        let streams = node.stream_places();
+        self.registry.adopt_node(node.identity.metadata.clone(), key.1, living, streams);
+        self.nodes.insert(key.clone(), Arc::new(node));
+        self.make_stream(&key);
         self.update_counts(&key);
     }
 }

@@ -1,5 +1,7 @@
 //! Nodes: how they come to be, who uses them, and when they give way.
 
+use std::sync::Arc;
+
 use tracing::{debug, error, info, warn};
 use uorb_core::broker_side::{
     Advertise, BrokerStatus, Ending, FromBroker, Identity, Node, PublisherEntry, Refusal, Reply,
@@ -7,11 +9,12 @@ use uorb_core::broker_side::{
 };
 use uorb_core::{Error, Instance, Metadata, QueueLength};
 
+use super::streaming::Answer;
 use super::{Broker, ring};
 use crate::registry::{NodeKey, Plan, SubscribePlan};
 
 impl Broker {
-    pub(super) fn advertise(&mut self, peer: u16, wanted: Advertise) -> Result<Reply, Refusal> {
+    pub(super) fn advertise(&mut self, peer: u16, wanted: Advertise) -> Result<Answer, Refusal> {
         let plan = self.registry.plan_advertise(peer, &wanted)?;
         let Advertise { handle, metadata, priority, queue_length, .. } = wanted;
         let key = (metadata.name.to_string(), plan.instance);
@@ -31,23 +34,30 @@ impl Broker {
                 );
             }
         }
+        let is_large = metadata.layout.is_large();
         self.registry.add_publisher(&key, PublisherEntry { peer, handle, priority });
         self.update_counts(&key);
-        Ok(Reply::Advertised(key.1))
+        self.tell_new_publisher(&key, peer, handle);
+        let reply = Reply::Advertised(key.1);
+        // A large topic is nothing without its stream.
+        if is_large { self.once_streaming(&key, reply) } else { Ok(Answer::Now(reply)) }
     }
 
-    pub(super) fn subscribe(&mut self, peer: u16, wanted: &Subscribe) -> Result<Reply, Refusal> {
+    pub(super) fn subscribe(&mut self, peer: u16, wanted: &Subscribe) -> Result<Answer, Refusal> {
         match self.registry.plan_subscribe(peer, wanted)? {
             SubscribePlan::Wait => {
                 self.registry.add_waiting(peer, wanted);
-                Ok(Reply::Waiting)
+                Ok(Answer::Now(Reply::Waiting))
             }
             SubscribePlan::Node(plan) => {
                 let key = (wanted.subject.name().to_string(), wanted.instance);
                 self.carry_out(plan, &key)?;
                 self.registry.add_subscriber(&key, peer, wanted.handle);
                 self.update_counts(&key);
-                Ok(Reply::Subscribed)
+                match wanted.stream {
+                    Some(wish) => self.follow_stream(&key, peer, wanted.handle, wish),
+                    None => Ok(Answer::Now(Reply::Subscribed)),
+                }
             }
         }
     }
@@ -68,11 +78,16 @@ impl Broker {
             }
             self.registry.remove_topic(&key.0);
         }
-        self.registry.add_node(metadata.clone(), key.1);
-        self.nodes.insert(key.clone(), node);
+        self.add_node(key, node);
         self.update_counts(key);
         self.tell_waiting(&metadata);
         Ok(())
+    }
+
+    fn add_node(&mut self, key: &NodeKey, node: Node) {
+        self.registry.add_node(node.identity.metadata.clone(), key.1);
+        self.nodes.insert(key.clone(), Arc::new(node));
+        self.make_stream(key);
     }
 
     fn make_node(&self, metadata: &Metadata, instance: Instance) -> Result<Node, Refusal> {
@@ -89,6 +104,7 @@ impl Broker {
 
     fn discard(&mut self, key: &NodeKey, has_files: bool) {
         let Some(node) = self.nodes.remove(key) else { return };
+        self.forget_stream(key);
         node.end(Ending::GaveWay);
         if has_files {
             ring(key, &node);
@@ -103,10 +119,7 @@ impl Broker {
             let key = (metadata.name.to_string(), instance);
             if !self.nodes.contains_key(&key) {
                 match self.make_node(metadata, instance) {
-                    Ok(node) => {
-                        self.registry.add_node(metadata.clone(), instance);
-                        self.nodes.insert(key.clone(), node);
-                    }
+                    Ok(node) => self.add_node(&key, node),
                     Err(refusal) => {
                         error!("{}{instance} cannot be made: {refusal}", metadata.name);
                         continue;
@@ -126,6 +139,7 @@ impl Broker {
         if let Some(node) = self.nodes.get(key) {
             let (publishers, subscribers) = self.registry.counts(key);
             node.set_counts(publishers, subscribers);
+            node.set_streams(self.registry.streams(key), self.foreign(key));
         }
     }
 
@@ -139,6 +153,8 @@ impl Broker {
             topics: self.registry.topic_count() as u32,
             nodes: self.registry.node_count() as u32,
             advertised: self.registry.advertised_count() as u32,
+            world: self.world.clone(),
+            no_streams: self.no_streams(),
         }
     }
 }

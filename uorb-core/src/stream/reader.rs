@@ -1,0 +1,332 @@
+//! A stream subscription's end of the stream, merged with its node.
+//!
+//! The reader is asked for the message after a given generation. It looks for it
+//! on the stream; then in the node, where every message is committed before it
+//! is sent: an ordinary topic's node keeps the newest, and the slot of one that
+//! is still being sent. What is in none of these places is lost, and is counted.
+//!
+//! Each publisher sends its messages in order, but one publisher's may overtake
+//! another's. A message that came too early is put aside until its turn.
+
+use std::collections::BTreeMap;
+use std::mem::MaybeUninit;
+
+use iceoryx2::port::ReceiveError;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::sample::Sample;
+
+use super::room::check_room;
+use super::{Ipc, Member, OVERRUN_MAX, UorbHeader, depth_max};
+use crate::clock::now_us;
+use crate::error::Error;
+use crate::node::Node;
+use crate::protocol::Wish;
+use crate::ring::{Corrupt, Stamp, Unsent};
+use crate::system::System;
+
+/// How long a message may be on its way before it is given up for lost, in
+/// microseconds: only where its publisher was stopped between its commit and
+/// the next step, and others have lapped it, or the topic is large.
+const PATIENCE_US: u64 = 10_000;
+
+/// iceoryx2's and our own state of following a stream.
+#[derive(Debug)]
+pub(crate) struct Reader {
+    subscriber: Subscriber<Ipc, [u8], UorbHeader>,
+    /// Which of the node's stream entries is ours.
+    index: usize,
+    size_bytes: usize,
+    is_large: bool,
+    /// Messages that came before their turn, by generation.
+    early: BTreeMap<u64, Sample<Ipc, [u8], UorbHeader>>,
+    current: Current,
+    /// The message that the subscription begins with, until it is delivered: it
+    /// is the current one already.
+    begun: Option<Found>,
+    /// The memory of a copy, so that copying allocates twice and no more.
+    spare: Vec<u8>,
+    /// Ids of ports that were found in the node's table.
+    known_ports: Vec<u128>,
+    /// The generation that is waited for, and since when.
+    awaited: (u64, u64),
+    lost: u64,
+}
+
+/// The message that was delivered last.
+#[derive(Debug)]
+enum Current {
+    None,
+    Borrowed(Sample<Ipc, [u8], UorbHeader>),
+    Copied(Vec<u8>),
+}
+
+/// A message that was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Found {
+    pub(crate) generation: u64,
+    pub(crate) stamp: Stamp,
+}
+
+/// What a look for the next message came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Next {
+    /// It is there: `Reader::current`.
+    Found(Found),
+    /// Nothing newer was published, or it is on its way.
+    NotYet,
+    /// All up to this generation is lost.
+    AllLost(u64),
+}
+
+impl Reader {
+    pub(crate) fn open(
+        member: &Member,
+        system: &System,
+        node: &Node,
+        wish: Wish,
+        index: usize,
+    ) -> Result<Self, Error> {
+        let (metadata, name) = (&node.identity.metadata, node.name());
+        check_room(&name, 0)?;
+        let (stream, _) = super::open(member, system, metadata, node.identity.instance, false)
+            .map_err(|what| Error::stream(&name, what))?;
+        let depth = (wish.depth as usize).clamp(1, depth_max(metadata.layout.size_bytes) as usize);
+        let overrun = if wish.back_pressure { OVERRUN_MAX } else { 0 };
+        let subscriber = stream
+            .subscriber_builder()
+            .buffer_size(depth + overrun)
+            .create()
+            .map_err(|why| Error::stream(&name, format!("no queue: iceoryx2 says {why:?}")))?;
+        Ok(Self {
+            subscriber,
+            index,
+            size_bytes: metadata.layout.size_bytes as usize,
+            is_large: metadata.layout.is_large(),
+            early: BTreeMap::new(),
+            current: Current::None,
+            begun: None,
+            spare: Vec::new(),
+            known_ports: Vec::new(),
+            awaited: (0, 0),
+            lost: 0,
+        })
+    }
+
+    /// Messages that were in neither the stream nor the node any more.
+    pub(crate) fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Which of the node's stream entries is this subscription's.
+    pub(crate) fn index(&self) -> usize {
+        self.index
+    }
+
+    /// The message that was delivered last.
+    pub(crate) fn current(&self) -> Option<&[u8]> {
+        match &self.current {
+            Current::None => None,
+            Current::Borrowed(sample) => Some(sample.payload()),
+            Current::Copied(bytes) => Some(bytes),
+        }
+    }
+
+    /// Keeps the message that the subscription begins with: by the time that it
+    /// is asked for, the node may have forgotten it. False: it is not there yet.
+    pub(crate) fn begin(&mut self, node: &Node, generation: u64) -> bool {
+        if let Ok(Place::Here(stamp)) = self.find(node, generation) {
+            self.begun = Some(Found { generation, stamp });
+        }
+        self.begun.is_some()
+    }
+
+    /// Looks for the message after `cursor`, or, where that is lost, the next
+    /// one that is not.
+    pub(crate) fn next(&mut self, node: &Node, cursor: u64) -> Result<Next, Corrupt> {
+        if let Some(begun) = self.begun.take().filter(|begun| begun.generation == cursor + 1) {
+            node.set_received(self.index, begun.generation);
+            return Ok(Next::Found(begun));
+        }
+        // Whatever was committed before this look was sent, is on its way, or
+        // will never come.
+        let newest = node.newest(cursor);
+        let mut wanted = cursor + 1;
+        while wanted <= newest {
+            match self.find(node, wanted)? {
+                Place::Here(stamp) => {
+                    self.count_lost(node, wanted - cursor - 1);
+                    node.set_received(self.index, wanted);
+                    return Ok(Next::Found(Found { generation: wanted, stamp }));
+                }
+                Place::OnItsWay => {
+                    // What is lost already is counted when the next is found.
+                    return Ok(Next::NotYet);
+                }
+                Place::Nowhere => wanted = self.first_after(node, wanted),
+            }
+        }
+        let lost_up_to = (wanted - 1).min(newest);
+        if lost_up_to == cursor {
+            return Ok(Next::NotYet);
+        }
+        self.count_lost(node, lost_up_to - cursor);
+        node.set_received(self.index, lost_up_to);
+        Ok(Next::AllLost(lost_up_to))
+    }
+
+    /// Looks for one message everywhere, and makes it the current one.
+    fn find(&mut self, node: &Node, wanted: u64) -> Result<Place, Corrupt> {
+        if let Some(stamp) = self.take_from_stream(node, wanted) {
+            return Ok(Place::Here(stamp));
+        }
+        let mut bytes = std::mem::take(&mut self.spare);
+        match self.find_in_node(node, wanted, &mut bytes) {
+            Ok(Place::Here(stamp)) => {
+                // SAFETY: what has found the message there has written all of it.
+                unsafe { bytes.set_len(self.size_bytes) };
+                let before = std::mem::replace(&mut self.current, Current::Copied(bytes));
+                if let Current::Copied(spare) = before {
+                    self.spare = spare;
+                }
+                return Ok(Place::Here(stamp));
+            }
+            place => {
+                self.spare = bytes;
+                if !matches!(place?, Place::Nowhere) {
+                    return Ok(Place::OnItsWay);
+                }
+            }
+        }
+        // It may have been sent since we looked there.
+        let sent = self.take_from_stream(node, wanted);
+        Ok(sent.map_or(Place::Nowhere, Place::Here))
+    }
+
+    fn find_in_node(
+        &mut self,
+        node: &Node,
+        wanted: u64,
+        bytes: &mut Vec<u8>,
+    ) -> Result<Place, Corrupt> {
+        if self.is_large {
+            return Ok(match node.unsent(wanted, &mut []) {
+                Unsent::Read(_) | Unsent::Unknown if self.is_patient(wanted) => Place::OnItsWay,
+                _ if node.last_generation() == wanted => node
+                    .read_last(wanted, room(bytes, self.size_bytes))
+                    .map_or(Place::Nowhere, Place::Here),
+                _ => Place::Nowhere,
+            });
+        }
+        if let Some(stamp) = node.read_exactly(wanted, room(bytes, self.size_bytes))? {
+            return Ok(Place::Here(stamp));
+        }
+        Ok(match node.unsent(wanted, room(bytes, self.size_bytes)) {
+            Unsent::Read(stamp) => Place::Here(stamp),
+            Unsent::Unknown if self.is_patient(wanted) => Place::OnItsWay,
+            _ => Place::Nowhere,
+        })
+    }
+
+    /// The least generation after a lost one that may be somewhere.
+    fn first_after(&self, node: &Node, lost: u64) -> u64 {
+        let newest = node.newest(lost);
+        // What the node still names, and what is on its way; a large message is
+        // never in the node, but the newest may be in its last section.
+        let named = if self.is_large { newest } else { node.oldest_named(newest) };
+        let early = self.early.keys().next().copied();
+        let unsent = node.least_unsent(lost + 1);
+        let next = [early, unsent].into_iter().flatten().fold(named, u64::min);
+        next.max(lost + 1)
+    }
+
+    /// Receives until the wanted message has come, or nothing more comes.
+    fn take_from_stream(&mut self, node: &Node, wanted: u64) -> Option<Stamp> {
+        while let Some(entry) = self.early.first_entry() {
+            match *entry.key() {
+                late if late < wanted => _ = entry.remove(),
+                early if early > wanted => break,
+                _ => {
+                    let sample = entry.remove();
+                    return Some(self.borrowed(sample));
+                }
+            }
+        }
+        loop {
+            let sample = match self.subscriber.receive() {
+                Ok(Some(sample)) => sample,
+                // Every publisher that has sent anything has sent something
+                // later than what is wanted, and that is put aside.
+                Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => return None,
+                // A port that is just going, or no memory to map it.
+                Err(ReceiveError::ConnectionFailure(_)) => return None,
+            };
+            if !self.is_registered(node, sample.origin().value())
+                || sample.payload().len() != self.size_bytes
+            {
+                node.count_foreign();
+                continue;
+            }
+            // Widened from the low 32 bits: it is at most the newest.
+            let newest = node.newest(wanted - 1);
+            let behind = (newest as u32).wrapping_sub(sample.user_header().generation);
+            let generation = newest.saturating_sub(behind.into());
+            if generation == wanted {
+                return Some(self.borrowed(sample));
+            }
+            // What is late was copied from the node.
+            if generation > wanted {
+                self.early.insert(generation, sample);
+            }
+        }
+    }
+
+    /// Whether a port is a publisher's of ours. Foreign ones may write what they
+    /// like into the header.
+    fn is_registered(&mut self, node: &Node, id: u128) -> bool {
+        if self.known_ports.contains(&id) {
+            return true;
+        }
+        let is_registered = node.has_port_id(id);
+        if is_registered {
+            self.known_ports.push(id);
+        }
+        is_registered
+    }
+
+    /// Whether a message that is on its way may still come.
+    fn is_patient(&mut self, wanted: u64) -> bool {
+        let now_us = now_us();
+        if self.awaited.0 != wanted {
+            self.awaited = (wanted, now_us);
+        }
+        now_us < self.awaited.1 + PATIENCE_US
+    }
+
+    fn borrowed(&mut self, sample: Sample<Ipc, [u8], UorbHeader>) -> Stamp {
+        let header = *sample.user_header();
+        self.current = Current::Borrowed(sample);
+        Stamp { publish_time_us: header.publish_time_us, publisher: header.publisher.into() }
+    }
+
+    fn count_lost(&mut self, node: &Node, lost: u64) {
+        if lost > 0 {
+            self.lost += lost;
+            node.count_lost(lost);
+            node.count_stream_lost(self.index, lost);
+        }
+    }
+}
+
+/// Where a message was found.
+#[derive(Clone, Copy)]
+enum Place {
+    Here(Stamp),
+    OnItsWay,
+    Nowhere,
+}
+
+fn room(bytes: &mut Vec<u8>, size_bytes: usize) -> &mut [MaybeUninit<u8>] {
+    bytes.clear();
+    bytes.reserve(size_bytes);
+    &mut bytes.spare_capacity_mut()[..size_bytes]
+}

@@ -1,0 +1,290 @@
+//! The streams of all nodes: made and kept by a thread of their own.
+//!
+//! iceoryx2 works on the file system, in milliseconds, and the broker's loop
+//! waits for nobody. So the loop gives *orders* and hears *news*. The thread
+//! keeps every node's service open, cleans up after dead processes, which nobody
+//! else does, and looks who of the users of a stream is none of ours.
+//!
+//! Of a large topic it is itself a subscriber, with a queue of one: when a
+//! publisher goes, its newest message is still there, and is kept in the node.
+
+use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread::{self, JoinHandle};
+use std::time::Instant;
+
+use anyhow::Context;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::CallbackProgression;
+use iceoryx2::service::port_factory::PortFactory;
+use nix::sys::eventfd::{EfdFlags, EventFd};
+use tracing::{debug, warn};
+use uorb_core::broker_side::{Events, Ipc, Member, Node, Stream, open_stream};
+use uorb_core::{System, UorbHeader, World};
+
+use crate::limits::{CLEAN_UP_INTERVAL, LOOK_INTERVAL};
+use crate::registry::NodeKey;
+
+/// What the loop wants.
+#[derive(Debug)]
+pub(crate) enum Order {
+    /// Make the stream of a node, and keep it.
+    Make(NodeKey, Arc<Node>),
+    /// The node gave way.
+    Forget(NodeKey),
+    /// A publisher has opened its port.
+    Ported(NodeKey),
+    /// A publisher of a large topic goes: keep what it published last.
+    Save(NodeKey),
+    /// A process is one of ours.
+    Joined(u32),
+    /// A process has died: clean up after it.
+    Died(u32),
+}
+
+/// What the thread says.
+#[derive(Debug)]
+pub(crate) enum News {
+    /// A node's stream is there, or cannot be.
+    Made(NodeKey, Result<(), String>),
+    /// How many foreign programs follow a node's stream, and publish there.
+    Foreign(NodeKey, (u64, u64)),
+}
+
+/// The loop's end of the thread.
+#[derive(Debug)]
+pub(crate) struct Streams {
+    orders: Option<Sender<Order>>,
+    news: Receiver<News>,
+    /// Readable while there is news.
+    pub(crate) event: Arc<EventFd>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Streams {
+    pub(crate) fn start(system: System, world: World) -> anyhow::Result<Self> {
+        let flags = EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK;
+        let event = Arc::new(EventFd::from_flags(flags).context("cannot make an eventfd")?);
+        let (orders, taken) = channel();
+        let (told, news) = channel();
+        let reporter = Reporter { news: told, event: event.clone() };
+        let thread = thread::Builder::new()
+            .name("streams".into())
+            .spawn(move || keep(&system, &world, &taken, &reporter))
+            .context("cannot start the thread of the streams")?;
+        Ok(Self { orders: Some(orders), news, event, thread: Some(thread) })
+    }
+
+    pub(crate) fn order(&self, order: Order) {
+        if let Some(orders) = &self.orders {
+            let _ = orders.send(order);
+        }
+    }
+
+    pub(crate) fn news(&self) -> Vec<News> {
+        let _ = self.event.read();
+        self.news.try_iter().collect()
+    }
+}
+
+impl Drop for Streams {
+    /// Ends the thread, which gives all streams up.
+    fn drop(&mut self) {
+        self.orders = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Reporter {
+    news: Sender<News>,
+    event: Arc<EventFd>,
+}
+
+impl Reporter {
+    fn tell(&self, news: News) {
+        let _ = self.news.send(news);
+        let _ = self.event.write(1);
+    }
+}
+
+/// One stream that is kept.
+struct Kept {
+    node: Arc<Node>,
+    stream: Stream,
+    events: Events,
+    /// Of a large topic: what holds its newest message.
+    newest: Option<Subscriber<Ipc, [u8], UorbHeader>>,
+    foreign: (u64, u64),
+    /// Foreign publishers seen at the last look: at the second they are told of.
+    suspects: HashSet<u128>,
+}
+
+fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Reporter) {
+    let member = world.join("uorbd");
+    if let Err(why) = &member {
+        warn!("there are no streams: {why}");
+    }
+    let mut keeper = Keeper {
+        system,
+        member,
+        kept: BTreeMap::new(),
+        ours: HashSet::from([std::process::id()]),
+        cleaned: Instant::now(),
+    };
+    // What a broker before us has left.
+    keeper.clean_up();
+    let mut looked = Instant::now();
+    loop {
+        let rest = LOOK_INTERVAL.saturating_sub(looked.elapsed());
+        let order = match keeper.kept.is_empty() {
+            true => orders.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            false => orders.recv_timeout(rest),
+        };
+        match order {
+            Ok(order) => keeper.carry_out(order, orders, reporter),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+        if looked.elapsed() >= LOOK_INTERVAL {
+            looked = Instant::now();
+            keeper.look(reporter);
+        }
+    }
+    keeper.kept.clear();
+    keeper.clean_up();
+}
+
+struct Keeper<'s> {
+    system: &'s System,
+    member: Result<Member, String>,
+    kept: BTreeMap<NodeKey, Kept>,
+    /// Processes of ours, and this one.
+    ours: HashSet<u32>,
+    cleaned: Instant,
+}
+
+impl Keeper<'_> {
+    fn carry_out(&mut self, order: Order, orders: &Receiver<Order>, reporter: &Reporter) {
+        let mut died = false;
+        // All that is there: who dies, dies in crowds, and is cleaned up after
+        // once.
+        let mut next = Some(order);
+        while let Some(order) = next {
+            match order {
+                Order::Make(key, node) => {
+                    let made = self.make(&key, node);
+                    reporter.tell(News::Made(key, made));
+                }
+                Order::Forget(key) => _ = self.kept.remove(&key),
+                Order::Ported(key) => self.connect(&key),
+                Order::Save(key) => self.save(&key),
+                Order::Joined(pid) => _ = self.ours.insert(pid),
+                Order::Died(pid) => {
+                    self.ours.remove(&pid);
+                    died = true;
+                }
+            }
+            next = orders.try_recv().ok();
+        }
+        if died {
+            self.clean_up();
+        }
+    }
+
+    fn make(&mut self, key: &NodeKey, node: Arc<Node>) -> Result<(), String> {
+        let member = self.member.as_ref().map_err(Clone::clone)?;
+        let metadata = &node.identity.metadata;
+        let (stream, events) = open_stream(member, self.system, metadata, key.1, true)?;
+        let newest = metadata
+            .layout
+            .is_large()
+            .then(|| stream.subscriber_builder().buffer_size(1).create())
+            .transpose()
+            .map_err(|why| format!("cannot keep {}{}: iceoryx2 says {why:?}", key.0, key.1))?;
+        let foreign = (0, 0);
+        let kept = Kept { node, stream, events, newest, foreign, suspects: HashSet::new() };
+        self.kept.insert(key.clone(), kept);
+        Ok(())
+    }
+
+    /// Maps a new port: what is sent there from now on outlives it.
+    fn connect(&self, key: &NodeKey) {
+        if let Some(newest) = self.kept.get(key).and_then(|kept| kept.newest.as_ref()) {
+            let _ = newest.has_samples();
+        }
+    }
+
+    /// Keeps the newest message of a large topic in its node.
+    fn save(&self, key: &NodeKey) {
+        let Some(kept) = self.kept.get(key) else { return };
+        let received = kept
+            .newest
+            .iter()
+            .flat_map(|newest| std::iter::from_fn(|| newest.receive().ok().flatten()));
+        // The latest of several publishers' by the time of publishing.
+        let ours = received.filter(|sample| kept.node.has_port_id(sample.origin().value()));
+        if let Some(sample) = ours.max_by_key(|sample| sample.user_header().publish_time_us) {
+            let header = sample.user_header();
+            let stamp = (header.publish_time_us, header.publisher);
+            kept.node.save_last(header.generation, stamp, sample.payload());
+            debug!("keeps the last message of {}{}", key.0, key.1);
+        }
+    }
+
+    fn clean_up(&mut self) {
+        if let Ok(member) = &self.member {
+            member.node.try_cleanup_dead_nodes();
+        }
+        self.cleaned = Instant::now();
+    }
+
+    /// Looks who uses the streams.
+    fn look(&mut self, reporter: &Reporter) {
+        if self.cleaned.elapsed() >= CLEAN_UP_INTERVAL {
+            self.clean_up();
+        }
+        for (key, kept) in &mut self.kept {
+            if let Some(newest) = &kept.newest {
+                let _ = newest.has_samples();
+            }
+            let users = kept.stream.dynamic_config();
+            let mut followers = 0;
+            // The number costs nothing; most streams have no follower.
+            if users.number_of_subscribers() > usize::from(kept.newest.is_some()) {
+                users.list_subscribers(|subscriber| {
+                    let pid = subscriber.node_id.pid::<Ipc>().map(|pid| pid.value() as u32);
+                    followers += u64::from(!pid.is_ok_and(|pid| self.ours.contains(&pid)));
+                    CallbackProgression::Continue
+                });
+            }
+            let listeners = kept.events.dynamic_config().number_of_listeners() as u64;
+            let mut strangers = HashSet::new();
+            users.list_publishers(|publisher| {
+                let id = publisher.publisher_id.value();
+                // A port of ours is there an instant before its id is known.
+                if !kept.node.has_port_id(id) {
+                    strangers.insert(id);
+                    if kept.suspects.contains(&id) && kept.foreign.1 == 0 {
+                        let pid = publisher.node_id.pid::<Ipc>().map_or(0, |pid| pid.value());
+                        warn!(
+                            "{}{}: a foreign program (pid {pid}) publishes on the stream; its \
+                             messages are dropped",
+                            key.0, key.1,
+                        );
+                    }
+                }
+                CallbackProgression::Continue
+            });
+            let publishers = strangers.intersection(&kept.suspects).count() as u64;
+            kept.suspects = strangers;
+            let foreign = (followers.max(listeners), publishers);
+            if foreign != kept.foreign {
+                kept.foreign = foreign;
+                reporter.tell(News::Foreign(key.clone(), foreign));
+            }
+        }
+    }
+}
