@@ -30,6 +30,16 @@ uorb_core::topic! {
     }
 }
 
+uorb_core::topic! {
+    /// Fields that are keywords of Rust, and none of anybody else.
+    pub struct Beacon = "beacon" {
+        /// What sort of beacon.
+        pub r#type: u32,
+        /// The distance at which it matches.
+        pub r#match: [f32; 2],
+    }
+}
+
 #[test]
 fn a_random_integer_is_exactly_four_bytes() {
     assert_eq!(size_of::<RandomInteger>(), 4);
@@ -50,4 +60,21 @@ fn a_struct_of_code_can_contain_a_message_of_a_file() {
     OwnBattery::LAYOUT.check().unwrap();
     let flat = OwnBattery::LAYOUT.flatten();
     assert!(flat.iter().any(|field| field.path == "battery.voltage_v"));
+}
+
+#[test]
+fn a_field_that_is_a_keyword_of_rust_has_its_plain_name_for_others() {
+    assert_eq!(Beacon::LAYOUT.o_fields(), "uint32_t type;float[2] match;");
+    // PX4's hash of `uint32 type` and `float32[2] match`.
+    assert_eq!(Beacon::LAYOUT.message_hash, 0xbf0f_97d0);
+}
+
+#[test]
+fn a_topic_has_a_name_that_can_be_a_file() {
+    for name in ["a", "sensor_accel", "Ekf2", "x_1", &"x".repeat(57)] {
+        assert!(uorb_core::is_topic_name(name), "{name}");
+    }
+    for name in ["", "1a", "_a", "a b", "a/b", "a.b", "../a", "\u{e4}", "a\0", &"x".repeat(58)] {
+        assert!(!uorb_core::is_topic_name(name), "{name}");
+    }
 }

@@ -113,7 +113,7 @@ pub use self::{
     system::{DIR_VARIABLE, SYSTEM_VARIABLE, System},
     topic::{
         Bool, FieldKind, INSTANCES_MAX, Instance, Message, Metadata, Priority, QueueLength,
-        TOPIC_NAME_MAX_BYTES, Topic, is_topic_name,
+        TOPIC_NAME_MAX_BYTES, Topic, field_name, is_topic_name,
     },
 };
 

@@ -50,13 +50,22 @@ pub struct Metadata {
     pub queue_length: QueueLength,
 }
 
-/// Whether a name can be a topic's: lower-case letters, digits and `_`, a
-/// letter first, at most [`TOPIC_NAME_MAX_BYTES`] bytes. It becomes a file
-/// name, so nothing else is let through.
-pub fn is_topic_name(name: &str) -> bool {
-    name.len() <= TOPIC_NAME_MAX_BYTES
-        && name.starts_with(|first: char| first.is_ascii_alphabetic())
-        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+/// Whether a name can be a topic's: letters, digits and `_`, a letter first, at
+/// most [`TOPIC_NAME_MAX_BYTES`] bytes. It becomes a file name, so nothing else
+/// is let through.
+pub const fn is_topic_name(name: &str) -> bool {
+    let name = name.as_bytes();
+    if name.is_empty() || name.len() > TOPIC_NAME_MAX_BYTES || !name[0].is_ascii_alphabetic() {
+        return false;
+    }
+    let mut index = 1;
+    while index < name.len() {
+        if !name[index].is_ascii_alphanumeric() && name[index] != b'_' {
+            return false;
+        }
+        index += 1;
+    }
+    true
 }
 
 /// Which of a topic's nodes: 0 to 9.
@@ -259,6 +268,16 @@ impl<K: FieldKind, const N: usize> FieldKind for [K; N] {
     const ARRAY_LENGTH: Option<u32> = Some(N as u32);
 }
 
+/// A field's name, given as `stringify!` spells it. What Rust has to write as
+/// `r#type` is `type` to every other program.
+#[doc(hidden)]
+pub const fn field_name(spelled: &'static str) -> &'static str {
+    match spelled.as_bytes() {
+        [b'r', b'#', ..] => spelled.split_at(2).1,
+        _ => spelled,
+    }
+}
+
 /// Defines a topic in code, without a .msg file: exactly the struct's bytes,
 /// no timestamp added, as C's `ORB_DEFINE` with a struct.
 ///
@@ -300,6 +319,15 @@ impl<K: FieldKind, const N: usize> FieldKind for [K; N] {
 /// uorb_core::topic! {
 ///     /// Every byte belongs to a field.
 ///     pub struct NoGap = "no_gap" { pub small: u8, pub _padding0: [u8; 3], pub large: u32 }
+/// }
+/// ```
+///
+/// A topic is named as [`is_topic_name`] says; no other name compiles:
+///
+/// ```compile_fail,E0080
+/// uorb_core::topic! {
+///     /// A blank cannot be part of a file's name here.
+///     pub struct Blank = "left wheel" { pub rpm: i32 }
 /// }
 /// ```
 #[macro_export]
@@ -354,7 +382,7 @@ macro_rules! topic {
         impl $crate::Message for $Message {
             const LAYOUT: &'static $crate::Layout = {
                 const FIELDS: &[$crate::Field] = &[$($crate::Field {
-                    name: ::std::borrow::Cow::Borrowed(stringify!($field)),
+                    name: ::std::borrow::Cow::Borrowed($crate::field_name(stringify!($field))),
                     ty: <$ty as $crate::FieldKind>::TYPE,
                     array_length: <$ty as $crate::FieldKind>::ARRAY_LENGTH,
                     offset_bytes: ::std::mem::offset_of!($Message, $field) as u32,
@@ -370,6 +398,9 @@ macro_rules! topic {
         }
     };
     (@topic $Topic:ident, $Message:ident, $name:literal) => {
+        const _: () =
+            assert!($crate::is_topic_name($name), concat!("no name for a topic: ", $name));
+
         impl $crate::Topic for $Topic {
             type Message = $Message;
             const METADATA: &'static $crate::Metadata = &$crate::Metadata {

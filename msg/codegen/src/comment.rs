@@ -4,6 +4,9 @@
 //! `[@range 0, 1]`, `[@frame NED]`, `[@invalid NaN]`. They are taken out of the
 //! words, so that each is said once, and the words go into the documentation
 //! of the generated code, where no character of theirs may turn into markup.
+//!
+//! A command's constant (`VEHICLE_CMD_..`) lists its parameters behind its
+//! words, each after a `|`. Tags there are the parameters', and stay with them.
 
 /// A comment, sorted into words and tags. Empty texts: not given.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -56,7 +59,7 @@ impl Comment {
 
     fn take_tags(&mut self, line: &str) -> String {
         let mut words = String::new();
-        let mut rest = line;
+        let (mut rest, parameters) = line.split_at(line.find('|').unwrap_or(line.len()));
         while let Some(open) = rest.find('[') {
             let Some(length) = rest[open..].find(']') else { break };
             let close = open + length;
@@ -68,6 +71,7 @@ impl Comment {
             rest = &rest[close + 1..];
         }
         words.push_str(rest);
+        words.push_str(parameters);
         words.split_whitespace().collect::<Vec<_>>().join(" ")
     }
 
@@ -128,12 +132,13 @@ impl Comment {
     }
 }
 
-/// `m/s^2`, `1e-7 deg`, `%`, `-`; but not `0..360`, `-1,1` or a remark.
+/// `m/s^2`, `1e-7 deg`, `%`, `-`; but not `0..360`, `-1,1`, a type or a remark.
 fn is_unit(text: &str) -> bool {
     let unit_letter = |letter: char| letter.is_alphanumeric() || " /^*%°.-()".contains(letter);
     let number = text.chars().all(|letter| letter.is_ascii_digit() || ".- ".contains(letter));
     let short = text.len() <= 20 && text.split_whitespace().count() <= 2;
-    text == "-" || !text.is_empty() && short && !number && text.chars().all(unit_letter)
+    let a_type = matches!(text, "bool" | "boolean" | "enum");
+    text == "-" || !text.is_empty() && short && !number && !a_type && text.chars().all(unit_letter)
 }
 
 fn is_list_entry(line: &str) -> bool {
@@ -202,13 +207,27 @@ mod tests {
 
     #[test]
     fn brackets_that_are_no_unit_stay_in_the_words() {
-        for words in ["angle [0..360]", "either [-1,1]", "(see [the MAV_ROI enum])", "open [ end"] {
+        for words in [
+            "angle [0..360]",
+            "either [-1,1]",
+            "set [bool] if true",
+            "(see [the MAV_ROI enum])",
+            "open [ end",
+        ] {
             let comment = comment(&[words]);
             assert_eq!((comment.unit.as_str(), &*comment.lines[0]), ("", words));
         }
         for unit in ["rad/s", "1e-7 deg", "%", "-", "degC", "deg*1e7", "1/s"] {
             assert_eq!(comment(&[&format!("[{unit}] x")]).unit, unit);
         }
+    }
+
+    #[test]
+    fn the_tags_of_a_commands_parameters_stay_with_them() {
+        let line = "[@enum TURN] Circle. |[m] Radius|[m/s] [@range 0,9] Speed|Unused|";
+        let comment = comment(&[line]);
+        assert_eq!(comment.lines, ["Circle. |[m] Radius|[m/s] [@range 0,9] Speed|Unused|"]);
+        assert_eq!((&*comment.values, &*comment.unit, &*comment.range), ("TURN", "", ""));
     }
 
     #[test]

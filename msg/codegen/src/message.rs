@@ -130,34 +130,35 @@ fn refuse_doubles(ast: &Ast, notes: &mut Notes) {
     }
 }
 
+/// The queue length that the text asks for, rounded up to a power of two: PX4
+/// had queues of 3, 5 and 10 until 2020, and rounded them so from then on.
 fn queue_length(constants: &[Constant], notes: &mut Notes) -> u32 {
     let Some(constant) = constants.iter().find(|one| one.name == "ORB_QUEUE_LENGTH") else {
         return 1;
     };
-    match constant.value {
-        Value::Int(length)
-            if constant.scalar.is_integer()
-                && (1..=QUEUE_LENGTH_MAX).contains(&length)
-                && length.count_ones() == 1 =>
-        {
-            length as u32
-        }
-        value => {
-            let (value, near) = match value {
-                Value::Int(value @ 3..=QUEUE_LENGTH_MAX) => {
-                    (value.to_string(), format!("; write {}", (value as u32).next_power_of_two()))
+    let written = match constant.value {
+        Value::Int(length) => {
+            if constant.scalar.is_integer() && (1..=QUEUE_LENGTH_MAX).contains(&length) {
+                let rounded = (length as u32).next_power_of_two();
+                if i128::from(rounded) != length {
+                    let text = format!(
+                        "`ORB_QUEUE_LENGTH = {length}`: a queue's length is a power of two; this \
+                         one becomes {rounded}"
+                    );
+                    notes.warn(constant.line, text);
                 }
-                Value::Int(value) => (value.to_string(), String::new()),
-                Value::Float(value) => (value.to_string(), String::new()),
-            };
-            let text = format!(
-                "`ORB_QUEUE_LENGTH = {value}`: a queue's length is a power of two up to \
-                 {QUEUE_LENGTH_MAX}{near}"
-            );
-            notes.fault(constant.line, text);
-            1
+                return rounded;
+            }
+            length.to_string()
         }
-    }
+        Value::Float(length) => length.to_string(),
+    };
+    let text = format!(
+        "`ORB_QUEUE_LENGTH = {written}`: a queue's length is a whole number from 1 to \
+         {QUEUE_LENGTH_MAX}"
+    );
+    notes.fault(constant.line, text);
+    1
 }
 
 /// The topics of the `# TOPICS` lines, or the one that is named as the message.

@@ -136,14 +136,30 @@ fn a_timestamp_is_a_uint64() {
 }
 
 #[test]
-fn a_queue_length_is_a_power_of_two() {
-    let rule = "a queue's length is a power of two up to 128";
-    for (wrong, near) in [("0", ""), ("3", "; write 4"), ("65", "; write 128"), ("256", "")] {
-        let expected = format!("1: `ORB_QUEUE_LENGTH = {wrong}`: {rule}{near}");
-        check(&format!("uint16 ORB_QUEUE_LENGTH = {wrong}"), &[&expected]);
+fn a_queue_length_is_a_number_up_to_128() {
+    let rule = "a queue's length is a whole number from 1 to 128";
+    for wrong in ["0", "129", "256", "-4"] {
+        let expected = format!("1: `ORB_QUEUE_LENGTH = {wrong}`: {rule}");
+        check(&format!("int16 ORB_QUEUE_LENGTH = {wrong}"), &[&expected]);
     }
     check("float32 ORB_QUEUE_LENGTH = 4", &["1: `ORB_QUEUE_LENGTH = 4`: .."]);
     check("uint8 ORB_QUEUE_LENGTH = 128", &[]);
+}
+
+#[test]
+fn a_queue_length_of_old_becomes_a_power_of_two() {
+    for (written, rounded) in [("3", "4"), ("5", "8"), ("10", "16"), ("65", "128")] {
+        let text = format!("uint8 ORB_QUEUE_LENGTH = {written}");
+        let generated = Config::new().text("test.msg", text).generate().unwrap();
+        assert_eq!(
+            generated.warnings[0].to_string(),
+            format!(
+                "test.msg:1: `ORB_QUEUE_LENGTH = {written}`: a queue's length is a power of two; \
+                 this one becomes {rounded}"
+            )
+        );
+        assert!(generated.rust.contains(&format!("QueueLength::at_least({rounded})")));
+    }
 }
 
 #[test]
