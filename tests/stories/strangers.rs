@@ -1,6 +1,8 @@
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use uorb_core::broker_side::{Advertise, Join, Refusal, Reply, Request, ToBroker, encode};
+use uorb_core::broker_side::{
+    Advertise, Join, PROTOCOL_VERSION, Refusal, Reply, Request, ToBroker, encode,
+};
 use uorb_core::{Claim, Error, Instance, Priority, Publication, Session, Topic};
 use uorb_tests::{Bus, Plain, Stamped, Stranger, eventually};
 
@@ -52,7 +54,7 @@ fn a_process_of_another_version_is_told_both_numbers() {
     let stranger = Stranger::connect(&bus.system);
     let join = Join { version: 99, name: "old".into(), rejoin: None };
     let reply = stranger.ask(Request::Join(join));
-    assert_eq!(reply, Some(Reply::Refused(Refusal::Version { broker: 1 })));
+    assert_eq!(reply, Some(Reply::Refused(Refusal::Version { broker: PROTOCOL_VERSION })));
 
     // Even if the rest of its words are different ones.
     let stranger = Stranger::connect(&bus.system);
@@ -60,7 +62,7 @@ fn a_process_of_another_version_is_told_both_numbers() {
     let Some(uorb_core::broker_side::FromBroker::Reply { reply, .. }) = stranger.hear() else {
         panic!("it was not answered");
     };
-    assert_eq!(reply, Reply::Refused(Refusal::Version { broker: 1 }));
+    assert_eq!(reply, Reply::Refused(Refusal::Version { broker: PROTOCOL_VERSION }));
 }
 
 #[test]
@@ -151,7 +153,7 @@ fn a_broker_without_descriptors_turns_newcomers_away_and_serves_those_it_knows()
     unsafe {
         command.pre_exec(|| {
             use nix::sys::resource::{Resource, setrlimit};
-            Ok(setrlimit(Resource::RLIMIT_NOFILE, 24, 24)?)
+            Ok(setrlimit(Resource::RLIMIT_NOFILE, 40, 40)?)
         });
     }
     let mut broker = command.stdout(std::process::Stdio::piped()).spawn().unwrap();
@@ -162,7 +164,7 @@ fn a_broker_without_descriptors_turns_newcomers_away_and_serves_those_it_knows()
     bus.adopt_broker(broker);
     let _publication = bus.advertise::<Plain>();
 
-    let idle: Vec<_> = (0..30).map(|_| Stranger::connect(&bus.system)).collect();
+    let idle: Vec<_> = (0..60).map(|_| Stranger::connect(&bus.system)).collect();
 
     let turned_away = idle.iter().filter(|stranger| stranger.join("late").is_none()).count();
     assert!(turned_away > 10, "{turned_away}");

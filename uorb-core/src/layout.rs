@@ -322,7 +322,8 @@ impl Layout {
     pub fn check(&self) -> Result<(), LayoutFault> {
         if self.size_bytes == 0 || self.size_bytes > MESSAGE_SIZE_MAX_BYTES {
             let (name, size_bytes) = (self.name.to_string(), self.size_bytes);
-            return Err(LayoutFault::Size { name, size_bytes });
+            let limit_bytes = MESSAGE_SIZE_MAX_BYTES;
+            return Err(LayoutFault::Size { name, size_bytes, limit_bytes });
         }
         let mut budget = FLAT_FIELDS_MAX;
         self.check_level(1, 1, &mut budget)
@@ -376,13 +377,15 @@ impl Layout {
 /// What is wrong with a layout that another process or a file gave.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum LayoutFault {
-    /// The message is empty or larger than a node takes.
-    #[error("message {name} has {size_bytes} bytes; a topic takes 1 to {MESSAGE_SIZE_MAX_BYTES}")]
+    /// The message is empty or too large.
+    #[error("message {name} has {size_bytes} bytes; it may have 1 to {limit_bytes}")]
     Size {
         /// The message's name.
         name: String,
         /// The size it claims, in bytes.
         size_bytes: u32,
+        /// The size it may have, in bytes.
+        limit_bytes: u32,
     },
     /// A field lies outside its message, overlaps another, nests too deep, or
     /// shares its name with another.

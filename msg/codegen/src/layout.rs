@@ -9,8 +9,12 @@
 use crate::fault::Fault;
 use crate::message::{Field, Message, Messages, Type};
 
-/// The bytes of the largest message: PX4's `o_size` is 16 bits wide.
-const MESSAGE_SIZE_MAX_BYTES: u64 = 65_535;
+/// The bytes of the largest message, as `uorb_core::MESSAGE_SIZE_MAX_BYTES`:
+/// above PX4's 65,535 a topic is a large one.
+pub(crate) const MESSAGE_SIZE_MAX_BYTES: u64 = 256 << 20;
+
+/// What a field's size is taken for at most, so that no sum overflows.
+const FIELD_SIZE_MAX_BYTES: u64 = 1 << 40;
 
 /// How deep messages may nest, and to how many fields they may flatten: what
 /// `uorb_core::Layout::check` lets through.
@@ -88,7 +92,8 @@ impl Table<'_> {
                     inner.map_or(0, |inner| inner.size_bytes).min(MESSAGE_SIZE_MAX_BYTES + 1)
                 }
             };
-            sizes.push((field.ty, element_bytes * count));
+            let size_bytes = element_bytes.saturating_mul(count).min(FIELD_SIZE_MAX_BYTES);
+            sizes.push((field.ty, size_bytes));
         }
         let (members, size_no_padding_bytes, size_bytes) = place_members(&sizes);
         let message_hash = hash_fields(0x811c_9dc5, message, self.messages);

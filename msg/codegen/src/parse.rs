@@ -12,6 +12,7 @@
 
 use crate::comment::Comment;
 use crate::fault::Notes;
+use crate::layout::MESSAGE_SIZE_MAX_BYTES;
 use crate::names;
 use crate::scalar::{Scalar, Value};
 
@@ -246,10 +247,14 @@ impl Parser<'_> {
                 format!("`{text}` has no length; a message has a fixed size: `{base}[8]`")
             }
             Some(digits) if digits.bytes().all(|byte| byte.is_ascii_digit()) => {
-                match digits.parse::<u16>() {
+                match digits.parse::<u32>() {
                     Ok(0) => format!("`{text}` is an array of no elements"),
-                    Ok(length) => return Some((name.to_string(), Some(length.into()))),
-                    Err(_) => format!("`{text}` is longer than a message can be, 65535 bytes"),
+                    Ok(length) if u64::from(length) <= MESSAGE_SIZE_MAX_BYTES => {
+                        return Some((name.to_string(), Some(length)));
+                    }
+                    _ => format!(
+                        "`{text}` is longer than a message can be, {MESSAGE_SIZE_MAX_BYTES} bytes"
+                    ),
                 }
             }
             Some(inner) if inner.contains('[') => {

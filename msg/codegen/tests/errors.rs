@@ -101,7 +101,10 @@ fn an_array_has_one_length() {
     check("float32[N] x", &["1: `float32[N]` is not an array type: `float32[8]`"]);
     check("float32[3 x", &["1: `float32[3` is not an array type: `float32[8]`"]);
     check("float32[-1] x", &["1: `float32[-1]` is not an array type: `float32[8]`"]);
-    check("uint8[99999] x", &["1: `uint8[99999]` is longer than a message can be, 65535 bytes"]);
+    check(
+        "uint8[268435457] x",
+        &["1: `uint8[268435457]` is longer than a message can be, 268435456 bytes"],
+    );
     check("float32 x[3]", &["1: `x[3]`: the length goes to the type, `float32[3] x`"]);
 }
 
@@ -223,10 +226,12 @@ fn a_message_does_not_contain_itself() {
 
 #[test]
 fn a_message_is_not_larger_than_a_topic_takes() {
-    check("uint8[65520] x", &[]);
+    check("uint8[6220800] x", &[]);
+    check("uint8[268435448] x", &[]);
     check(
-        "uint8 y\nuint8[65528] x",
-        &["2: message `test` has 65544 bytes, most of them in `x`; a topic takes at most 65535"],
+        "uint8 y\nuint8[268435448] x",
+        &["2: message `test` has 268435464 bytes, most of them in `x`; \
+           a topic takes at most 268435456"],
     );
     let mut deep = Config::new().text("m0.msg", "");
     for level in 1..9 {
@@ -239,9 +244,9 @@ fn a_message_is_not_larger_than_a_topic_takes() {
     );
     // Each level alone would overflow the next one's size.
     let huge = Config::new()
-        .text("a.msg", "uint64[65535] x")
-        .text("b.msg", "a[65535] x")
-        .text("c.msg", "b[65535] x");
+        .text("a.msg", "uint64[268435455] x")
+        .text("b.msg", "a[268435455] x")
+        .text("c.msg", "b[268435455] x");
     compare(&faults(huge), &["a.msg:1: ..", "b.msg:1: ..", "c.msg:1: .."], Fault::to_string);
 }
 

@@ -9,7 +9,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use uorb_core::{Field, FieldType, Layout, LayoutFault, MESSAGE_SIZE_MAX_BYTES};
+use uorb_core::{Field, FieldType, Layout, LayoutFault, NODE_MESSAGE_MAX_BYTES};
 
 /// How deep the formats of a log may nest: as deep as a node takes it.
 const NESTING_MAX: usize = 8;
@@ -143,10 +143,14 @@ impl Formats {
             // more than any memory holds.
             end_bytes = u32::try_from(field.end_bytes())
                 .ok()
-                .filter(|end| (offset_bytes + 1..=MESSAGE_SIZE_MAX_BYTES).contains(end))
+                .filter(|end| (offset_bytes + 1..=NODE_MESSAGE_MAX_BYTES).contains(end))
                 .ok_or_else(|| {
                     let size = u32::try_from(field.end_bytes()).unwrap_or(u32::MAX);
-                    LayoutFault::Size { name: message.to_string(), size_bytes: size }
+                    LayoutFault::Size {
+                        name: message.to_string(),
+                        size_bytes: size,
+                        limit_bytes: NODE_MESSAGE_MAX_BYTES,
+                    }
                 })?;
             if !field.name.starts_with("_padding") {
                 fields.push(field);

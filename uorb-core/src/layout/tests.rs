@@ -102,8 +102,8 @@ fn a_layout_that_lies_is_refused() {
     overlap.fields.to_mut()[1].offset_bytes = 4;
     assert!(overlap.check().is_err());
 
-    let huge = Layout { size_bytes: 65_536, ..vehicle_acceleration() };
-    assert!(matches!(huge.check(), Err(LayoutFault::Size { size_bytes: 65_536, .. })));
+    let huge = Layout { size_bytes: MESSAGE_SIZE_MAX_BYTES + 1, ..vehicle_acceleration() };
+    assert!(matches!(huge.check(), Err(LayoutFault::Size { size_bytes: 0x1000_0001, .. })));
 
     let mut deep = vehicle_acceleration();
     for _ in 0..NESTING_MAX {
