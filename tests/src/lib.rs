@@ -40,6 +40,16 @@ topic! {
 }
 
 topic! {
+    /// Too large for a node: 6 MiB.
+    pub struct Image = "image" {
+        /// Counts up.
+        pub count: u64,
+        /// What it shows.
+        pub pixels: [u8; (6 << 20) - 8],
+    }
+}
+
+topic! {
     /// A number.
     pub struct Plain = "plain" {
         /// The value.

@@ -1,0 +1,227 @@
+//! A process of a story about streams: it sends or follows, and says what it
+//! saw. As `actor.rs`, it is told by lines, and dies with its test.
+
+use std::io::{BufRead, BufReader, stdin};
+use std::os::fd::AsFd;
+use std::process::{Command, ExitCode, Stdio};
+use std::time::Duration;
+
+use nix::poll::{PollFd, PollFlags, PollTimeout};
+use uorb_core::{
+    AdvertiseOptions, Error, Instance, Publication, QueueLength, Session, StreamOptions,
+    StreamSubscription, System, poll,
+};
+use uorb_tests::{Image, Stamped, program};
+
+fn main() -> ExitCode {
+    nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let done = match &arguments[..] {
+        ["publish", count] => publish(number(count), false),
+        ["try-publish", count] => publish(number(count), true),
+        ["publish-for-ever"] => publish_for_ever(),
+        ["follow", depth] => follow(number(depth) as u32, false),
+        ["follow-and-press", depth] => follow(number(depth) as u32, true),
+        ["hold-image"] => hold_image(),
+        ["small-memory"] => small_memory(),
+        other => panic!("no such streamer: {other:?}"),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        // Part of some stories: they want to know which.
+        Err(error) => {
+            println!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn number(text: &str) -> u64 {
+    text.parse().unwrap_or_else(|_| panic!("{text:?} is not a number"))
+}
+
+/// The next line of the story; None when it has said all.
+fn heard() -> Option<String> {
+    let mut line = String::new();
+    (stdin().lock().read_line(&mut line).expect("the pipe can be read") > 0).then_some(line)
+}
+
+/// Whether the story has said something.
+fn is_told() -> bool {
+    let input = stdin();
+    let mut ready = [PollFd::new(input.as_fd(), PollFlags::POLLIN)];
+    nix::poll::poll(&mut ready, PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
+}
+
+/// Publishes a number of messages flat out, from `go` on; where it tries, each
+/// until nobody's queue is full.
+fn publish(count: u64, tries: bool) -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Publication::<Stamped>::advertise(&session)?;
+    println!("advertised");
+    heard();
+    let sender = std::process::id().into();
+    let mut refused = 0_u64;
+    for count in 0..count {
+        let message = Stamped::new(count, sender);
+        if !tries {
+            stamped.publish(&message)?;
+            continue;
+        }
+        loop {
+            match stamped.try_publish(&message) {
+                Ok(_) => break,
+                Err(Error::QueueFull { .. }) => {
+                    refused += 1;
+                    std::thread::yield_now();
+                }
+                Err(error) => return Err(error),
+            }
+        }
+    }
+    println!("published, refused {refused}");
+    heard();
+    Ok(())
+}
+
+/// Publishes until it is killed, to a node that keeps many.
+fn publish_for_ever() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let queue_length = QueueLength::new(QueueLength::MAX);
+    let options = AdvertiseOptions { queue_length, ..AdvertiseOptions::default() };
+    let mut stamped = Publication::<Stamped>::advertise_with(&session, options)?;
+    println!("advertised");
+    let sender = std::process::id().into();
+    for count in 0.. {
+        stamped.publish(&Stamped::new(count, sender))?;
+        // Others are to have their turn on few cores.
+        std::thread::yield_now();
+    }
+    Ok(())
+}
+
+/// Follows the stream until its input has said something and all is received,
+/// and checks every message: whole, and of a later generation than the one
+/// before.
+fn follow(depth: u32, back_pressure: bool) -> Result<(), Error> {
+    let session = Session::connect()?;
+    let options = StreamOptions { depth: Some(depth), back_pressure };
+    let mut stream =
+        StreamSubscription::<Stamped>::subscribe_with(&session, Instance::FIRST, options)?;
+    println!("subscribed");
+    let (mut received, mut torn, mut out_of_order) = (0_u64, 0_u64, 0_u64);
+    let mut generation = None;
+    let mut over = false;
+    loop {
+        over = over || is_told();
+        if !over {
+            poll(&mut [&mut stream], Some(Duration::from_millis(100)))?;
+        }
+        while let Some(message) = stream.update() {
+            let whole = message.is_whole();
+            let this = stream.last_copied().expect("just received").generation;
+            received += 1;
+            torn += u64::from(!whole);
+            let first = generation.is_none_or(|last| (1..1 << 31).contains(&this.since(last)));
+            out_of_order += u64::from(!first);
+            generation = Some(this);
+        }
+        if over && stream.pending() == 0 {
+            break;
+        }
+    }
+    let (lost, pending) = (stream.lost(), stream.pending());
+    println!("copied {received} lost {lost} pending {pending} torn {torn} disorder {out_of_order}");
+    Ok(())
+}
+
+/// Publishes one large message, and holds its publication until it is ended.
+fn hold_image() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut image = Publication::<Image>::advertise(&session)?;
+    publish_image(&mut image, 7)?;
+    println!("published");
+    heard();
+    Ok(())
+}
+
+fn publish_image(image: &mut Publication<Image>, count: u64) -> Result<(), Error> {
+    let mut loan = image.loan()?;
+    loan.count = count;
+    loan.pixels.fill(count as u8);
+    loan.publish().map(|_| ())
+}
+
+/// A /dev/shm of 64 MiB and a broker in it: large messages stream there, or are
+/// refused, and nothing dies. Prints how that went.
+fn small_memory() -> Result<(), Error> {
+    use nix::mount::{MsFlags, mount};
+    use nix::sched::{CloneFlags, unshare};
+    let none: Option<&str> = None;
+    let private = unshare(CloneFlags::CLONE_NEWNS)
+        .and_then(|()| mount(none, "/", none, MsFlags::MS_REC | MsFlags::MS_PRIVATE, none))
+        .and_then(|()| {
+            mount(Some("tmpfs"), "/dev/shm", Some("tmpfs"), MsFlags::empty(), Some("size=64m"))
+        });
+    if let Err(errno) = private {
+        println!("skipped: no mount namespace can be made here: {errno}");
+        return Ok(());
+    }
+    let system = System::from_env()?;
+    std::fs::create_dir_all(system.base()).expect("an empty /dev/shm");
+    let mut broker = Command::new(program("uorbd"))
+        .args(["--ready-fd", "1"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("uorbd starts");
+    let mut line = String::new();
+    let stdout = broker.stdout.as_mut().expect("piped");
+    BufReader::new(stdout).read_line(&mut line).expect("a line");
+    assert_eq!(line, "ready\n");
+    let streamed = stream_in_small_memory();
+    broker.kill().expect("it can be killed");
+    broker.wait().expect("it is our child");
+    streamed
+}
+
+fn stream_in_small_memory() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut image = Publication::<Image>::advertise(&session)?;
+    let mut stream = StreamSubscription::<Image>::subscribe(&session)?;
+    for count in 1..=100 {
+        publish_image(&mut image, count)?;
+        let seen = stream.update().expect("it has just been published");
+        assert_eq!((seen.count, seen.pixels[0]), (count, count as u8));
+    }
+    println!("streamed");
+    // Somebody else fills what is left.
+    let filler = "/dev/shm/filler";
+    let filled = std::fs::write(filler, vec![1; 64 << 20]);
+    println!("filled: {}", filled.expect_err("64 MiB do not fit"));
+    // The memory that it has is enough for one who keeps up.
+    for count in 101..=200 {
+        publish_image(&mut image, count)?;
+        assert_eq!(stream.update().map(|seen| seen.count), Some(count));
+    }
+    println!("still streamed");
+    // It is not for several that do not.
+    let mut late = Vec::new();
+    let refused = loop {
+        let options = StreamOptions { depth: None, back_pressure: true };
+        let follower =
+            StreamSubscription::<Image>::subscribe_with(&session, Instance::FIRST, options);
+        match follower {
+            Ok(follower) => late.push(follower),
+            Err(error) => break error,
+        }
+        if let Err(error) = (0..20).try_for_each(|count| publish_image(&mut image, count)) {
+            break error;
+        }
+    };
+    println!("refused: {refused}");
+    std::fs::remove_file(filler).expect("it can be removed");
+    publish_image(&mut image, 300)?;
+    println!("published again");
+    Ok(())
+}
