@@ -8,8 +8,7 @@ use std::time::Duration;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{
-    AdvertiseOptions, Error, Instance, Publication, QueueLength, Session, StreamOptions,
-    StreamSubscription, System, poll,
+    Error, Instance, Publication, Session, StreamOptions, StreamSubscription, System, poll,
 };
 use uorb_tests::{Image, Stamped, program};
 
@@ -20,7 +19,7 @@ fn main() -> ExitCode {
     let done = match &arguments[..] {
         ["publish", count] => publish(number(count), false),
         ["try-publish", count] => publish(number(count), true),
-        ["publish-for-ever"] => publish_for_ever(),
+        ["try-publish-for-ever"] => try_publish_for_ever(),
         ["follow", depth] => follow(number(depth) as u32, false),
         ["follow-and-press", depth] => follow(number(depth) as u32, true),
         ["hold-image"] => hold_image(),
@@ -85,18 +84,19 @@ fn publish(count: u64, tries: bool) -> Result<(), Error> {
     Ok(())
 }
 
-/// Publishes until it is killed, to a node that keeps many.
-fn publish_for_ever() -> Result<(), Error> {
+/// Publishes until it is killed, as fast as everybody follows.
+fn try_publish_for_ever() -> Result<(), Error> {
     let session = Session::connect()?;
-    let queue_length = QueueLength::new(QueueLength::MAX);
-    let options = AdvertiseOptions { queue_length, ..AdvertiseOptions::default() };
-    let mut stamped = Publication::<Stamped>::advertise_with(&session, options)?;
+    let mut stamped = Publication::<Stamped>::advertise(&session)?;
     println!("advertised");
     let sender = std::process::id().into();
     for count in 0.. {
-        stamped.publish(&Stamped::new(count, sender))?;
-        // Others are to have their turn on few cores.
-        std::thread::yield_now();
+        while let Err(error) = stamped.try_publish(&Stamped::new(count, sender)) {
+            if !matches!(error, Error::QueueFull { .. }) {
+                return Err(error);
+            }
+            std::thread::yield_now();
+        }
     }
     Ok(())
 }

@@ -373,3 +373,56 @@ fn a_stopped_system_leaves_nothing_of_its_streams() {
     assert_eq!(of_world(), Vec::<String>::new());
     drop(bus);
 }
+
+/// How often a process is killed: more by hand, with UORB_KILLS=1000.
+fn kills() -> u64 {
+    std::env::var("UORB_KILLS").ok().and_then(|kills| kills.parse().ok()).unwrap_or(100)
+}
+
+#[test]
+fn killed_publishers_and_followers_cost_nobody_a_message_and_leave_nothing() {
+    let mut bus = Bus::start();
+    let world = uorb_core::World::of(&bus.system);
+    let node = bus.subscribe::<Stamped>();
+    let mut witness = streamer(&bus, &["follow-and-press", "512"]);
+    witness.expect("subscribed");
+    let spawn = |bus: &Bus, kind: u64| match kind {
+        0 | 1 => (streamer(bus, &["try-publish-for-ever"]), "advertised"),
+        2 => (streamer(bus, &["follow", "16"]), "subscribed"),
+        _ => (streamer(bus, &["follow-and-press", "256"]), "subscribed"),
+    };
+    let mut others: Vec<_> = (0..4).map(|kind| spawn(&bus, kind)).collect();
+    others.iter_mut().for_each(|(other, line)| other.expect(line));
+    let files = |world: &uorb_core::World| {
+        let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
+        let names = entries.map(|entry| entry.file_name().into_string().unwrap());
+        names.filter(|name| name.starts_with(&world.prefix)).count()
+    };
+
+    let mut random = 0x9e37_79b9_7f4a_7c15_u64;
+    let mut most_files = 0;
+    for kill in 0..kills() {
+        // Somewhere within the next hundred publishes, the two of them together.
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(kill | 1);
+        let (kind, after) = ((random >> 33) % 4, node.pending() + (random >> 40) % 100);
+        eventually("publishing goes on", || node.pending() >= after);
+        let (victim, _) = &mut others[kind as usize];
+        victim.kill();
+        let (mut next, line) = spawn(&bus, kind);
+        next.expect(line);
+        others[kind as usize] = (next, line);
+        most_files = most_files.max(files(&world));
+    }
+    let publishers = others.drain(..2).collect::<Vec<_>>();
+    publishers.into_iter().for_each(|(mut publisher, _)| publisher.kill());
+    let [received, lost, pending, torn, disorder] = followed(witness);
+    assert_eq!((pending, torn, disorder), (0, 0, 0));
+    assert_eq!(received + lost, node.pending(), "and nothing else was published");
+    assert_eq!(lost, 0, "of {received}");
+
+    others.into_iter().for_each(|(mut follower, _)| follower.kill());
+    // What is left: two services, and their broker.
+    eventually("all is cleaned up", || files(&world) <= 4);
+    eprintln!("{received} messages, {} kills, at most {most_files} files", kills());
+    drop(node);
+}

@@ -129,6 +129,7 @@ pub mod broker_side {
     pub use crate::node_file::{Identity, NODE_FILE_VERSION, boot_id};
     pub use crate::protocol::*;
     pub use crate::ring::{PEER_MAX, PUBLISHERS_MAX};
+    pub use crate::stream::port::Executor;
     pub use crate::stream::{Events, Ipc, Member, Stream, open as open_stream, service_name};
     pub use crate::transport::{listen_as_broker, receive_packet, send_packet};
 }

@@ -561,6 +561,33 @@ impl<'m> Ring<'m> {
         }
     }
 
+    /// The messages of a dead peer that are committed, and may not have been sent
+    /// elsewhere. Only the broker asks, before it gives the slots back: until
+    /// then nobody writes there.
+    pub(crate) fn unsent_of(&self, peer: u16) -> Vec<(u64, Stamp, Vec<u8>)> {
+        let mut unsent = Vec::new();
+        for index in 0..self.geometry.slots {
+            let Some(slot) = self.slot(index) else { break };
+            let owner = slot[OWNER].load(Ordering::Acquire);
+            if owner & u64::from(PEER_MAX) != u64::from(peer) {
+                continue;
+            }
+            let generation = generation_of(owner);
+            if owner & u64::from(SENDING) == 0 && !self.names(generation, index) {
+                continue;
+            }
+            let words = slot[PAYLOAD..].iter().map(|word| word.load(Ordering::Relaxed));
+            let mut bytes: Vec<u8> = words.flat_map(u64::to_ne_bytes).collect();
+            bytes.truncate(self.geometry.message_bytes);
+            unsent.push((generation, read_stamp(slot), bytes));
+        }
+        unsent
+    }
+
+    fn names(&self, generation: u64, index: usize) -> bool {
+        self.order_word(generation).load(Ordering::SeqCst) == word(generation, index as u64)
+    }
+
     /// Gives back the slots of a peer that is proven dead. Only the broker may,
     /// and a stopped peer is not dead: its slot would be written by two.
     pub(crate) fn free_slots_of(&self, peer: u16) {
@@ -574,8 +601,7 @@ impl<'m> Ring<'m> {
             // be taken at once; or after, and then its generation says until
             // when it is named.
             let generation = generation_of(owner);
-            let named = self.order_word(generation).load(Ordering::SeqCst)
-                == word(generation, index as u64);
+            let named = self.names(generation, index);
             slot[OWNER].store(word(if named { generation } else { 0 }, 0), Ordering::Release);
         }
     }

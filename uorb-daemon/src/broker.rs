@@ -253,7 +253,7 @@ impl Broker {
 }
 
 /// Wakes the subscriptions of a node.
-fn ring(key: &NodeKey, node: &Node) {
+pub(crate) fn ring(key: &NodeKey, node: &Node) {
     if let Err(error) = node.ring_bell() {
         warn!("cannot ring for {}{}: {error}", key.0, key.1);
     }

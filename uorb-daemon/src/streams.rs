@@ -20,9 +20,10 @@ use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::service::port_factory::PortFactory;
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use tracing::{debug, warn};
-use uorb_core::broker_side::{Events, Ipc, Member, Node, Stream, open_stream};
+use uorb_core::broker_side::{Events, Executor, Ipc, Member, Node, Stream, open_stream};
 use uorb_core::{System, UorbHeader, World};
 
+use crate::broker::ring;
 use crate::limits::{CLEAN_UP_INTERVAL, LOOK_INTERVAL};
 use crate::registry::NodeKey;
 
@@ -39,6 +40,9 @@ pub(crate) enum Order {
     Save(NodeKey),
     /// A process is one of ours.
     Joined(u32),
+    /// A publisher of a node has died: send what it has not sent, then give its
+    /// slots back.
+    Bury(NodeKey, u16),
     /// A process has died: clean up after it.
     Died(u32),
 }
@@ -118,6 +122,8 @@ struct Kept {
     /// Of a large topic: what holds its newest message.
     newest: Option<Subscriber<Ipc, [u8], UorbHeader>>,
     foreign: (u64, u64),
+    /// What sends for the dead, once it was needed.
+    executor: Option<Executor>,
     /// Foreign publishers seen at the last look: at the second they are told of.
     suspects: HashSet<u128>,
 }
@@ -181,6 +187,7 @@ impl Keeper<'_> {
                 Order::Forget(key) => _ = self.kept.remove(&key),
                 Order::Ported(key) => self.connect(&key),
                 Order::Save(key) => self.save(&key),
+                Order::Bury(key, peer) => self.bury(&key, peer),
                 Order::Joined(pid) => _ = self.ours.insert(pid),
                 Order::Died(pid) => {
                     self.ours.remove(&pid);
@@ -205,7 +212,8 @@ impl Keeper<'_> {
             .transpose()
             .map_err(|why| format!("cannot keep {}{}: iceoryx2 says {why:?}", key.0, key.1))?;
         let foreign = (0, 0);
-        let kept = Kept { node, stream, events, newest, foreign, suspects: HashSet::new() };
+        let (executor, suspects) = (None, HashSet::new());
+        let kept = Kept { node, stream, events, newest, foreign, executor, suspects };
         self.kept.insert(key.clone(), kept);
         Ok(())
     }
@@ -232,6 +240,16 @@ impl Keeper<'_> {
             kept.node.save_last(header.generation, stamp, sample.payload());
             debug!("keeps the last message of {}{}", key.0, key.1);
         }
+    }
+
+    fn bury(&mut self, key: &NodeKey, peer: u16) {
+        let (Some(kept), Ok(member)) = (self.kept.get_mut(key), &self.member) else { return };
+        let sent = Executor::send_for(&mut kept.executor, member, self.system, &kept.node, peer);
+        if let Err(error) = sent {
+            warn!("{}{}: a message of the dead was not sent: {error}", key.0, key.1);
+        }
+        kept.node.free_slots_of(peer);
+        ring(key, &kept.node);
     }
 
     fn clean_up(&mut self) {

@@ -271,7 +271,7 @@ impl Node {
     }
 
     /// Gives back the places of a peer that is proven dead.
-    pub(super) fn leave_ports_of(&self, peer: u16) {
+    pub(crate) fn leave_ports_of(&self, peer: u16) {
         for entry in self.port_entries() {
             let key = entry[0].load(Ordering::Acquire);
             if key as u16 == peer {
@@ -338,6 +338,11 @@ impl Node {
     /// from now.
     pub fn admit_stream(&self, place: u8) {
         self.begin_stream(place.into(), self.newest(self.identity.base));
+    }
+
+    /// Messages of a dead peer that are committed and may not have been sent.
+    pub(crate) fn unsent_of(&self, peer: u16) -> Vec<(u64, Stamp, Vec<u8>)> {
+        self.ring().map(|mapped| mapped.ring.unsent_of(peer)).unwrap_or_default()
     }
 
     /// Writes who follows the stream.

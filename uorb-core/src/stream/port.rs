@@ -192,6 +192,57 @@ impl Loaned {
     }
 }
 
+/// The broker's port: it sends what a publisher has committed and did not live
+/// to send.
+#[derive(Debug)]
+pub struct Executor {
+    port: Port,
+}
+
+/// In the table of ports, the broker: no process has this number.
+const BROKER: u16 = u16::MAX;
+
+impl Executor {
+    /// Sends what a dead process has left unsent on a node, as long as it still
+    /// has its slots there. `executor` is made when it is needed first.
+    ///
+    /// # Errors
+    ///
+    /// What hinders it from having a port.
+    pub fn send_for(
+        executor: &mut Option<Self>,
+        member: &Member,
+        system: &System,
+        node: &Node,
+        dead: u16,
+    ) -> Result<(), Error> {
+        // A large message was nowhere but in memory of the dead.
+        if node.identity.metadata.layout.is_large() || !node.is_streamed() {
+            return Ok(());
+        }
+        for (generation, stamp, message) in node.unsent_of(dead) {
+            let Self { port } = match executor {
+                Some(executor) => executor,
+                None => executor.insert(Self::new(member, system, node)?),
+            };
+            let mut loaned = port.loan()?;
+            loaned.bytes_mut().copy_from_slice(&message);
+            loaned.send(generation, stamp);
+        }
+        Ok(())
+    }
+
+    fn new(member: &Member, system: &System, node: &Node) -> Result<Self, Error> {
+        let port = Port::open(member, system, node)?;
+        // One of a broker before us.
+        node.leave_ports_of(BROKER);
+        if !node.enter_port(BROKER, 0, port.publisher.id().value()) {
+            return Err(Error::stream(node.name(), "all its ports are taken"));
+        }
+        Ok(Self { port })
+    }
+}
+
 /// A publication's port, as the session keeps track of it.
 #[derive(Clone, Debug)]
 pub(crate) struct Streamable {

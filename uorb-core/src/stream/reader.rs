@@ -29,6 +29,9 @@ use crate::system::System;
 /// the next step, and others have lapped it, or the topic is large.
 const PATIENCE_US: u64 = 10_000;
 
+/// A message on the stream, borrowed.
+type Message = Sample<Ipc, [u8], UorbHeader>;
+
 /// iceoryx2's and our own state of following a stream.
 #[derive(Debug)]
 pub(crate) struct Reader {
@@ -38,7 +41,7 @@ pub(crate) struct Reader {
     size_bytes: usize,
     is_large: bool,
     /// Messages that came before their turn, by generation.
-    early: BTreeMap<u64, Sample<Ipc, [u8], UorbHeader>>,
+    early: BTreeMap<u64, Message>,
     current: Current,
     /// The message that the subscription begins with, until it is delivered: it
     /// is the current one already.
@@ -56,7 +59,7 @@ pub(crate) struct Reader {
 #[derive(Debug)]
 enum Current {
     None,
-    Borrowed(Sample<Ipc, [u8], UorbHeader>),
+    Borrowed(Message),
     Copied(Vec<u8>),
 }
 
@@ -228,15 +231,23 @@ impl Reader {
     }
 
     /// The least generation after a lost one that may be somewhere.
-    fn first_after(&self, node: &Node, lost: u64) -> u64 {
-        let newest = node.newest(lost);
-        // What the node still names, and what is on its way; a large message is
-        // never in the node, but the newest may be in its last section.
-        let named = if self.is_large { newest } else { node.oldest_named(newest) };
-        let early = self.early.keys().next().copied();
+    fn first_after(&mut self, node: &Node, lost: u64) -> u64 {
+        // In this order: what is committed now is on its way at the next look, or
+        // else it was sent, and comes with what is received after that.
+        let committed = node.newest(lost);
         let unsent = node.least_unsent(lost + 1);
-        let next = [early, unsent].into_iter().flatten().fold(named, u64::min);
-        next.max(lost + 1)
+        while let Some((generation, sample)) = self.receive(node, lost) {
+            if generation > lost {
+                self.early.insert(generation, sample);
+            }
+        }
+        let early = self.early.keys().next().copied();
+        // A large message is never in the node, but the newest may be in its last
+        // section.
+        let newest = node.newest(committed);
+        let named = if self.is_large { newest } else { node.oldest_named(newest) };
+        let places = [early, unsent].into_iter().flatten();
+        places.fold(named.min(committed + 1), u64::min).max(lost + 1)
     }
 
     /// Receives until the wanted message has come, or nothing more comes.
@@ -251,25 +262,7 @@ impl Reader {
                 }
             }
         }
-        loop {
-            let sample = match self.subscriber.receive() {
-                Ok(Some(sample)) => sample,
-                // Every publisher that has sent anything has sent something
-                // later than what is wanted, and that is put aside.
-                Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => return None,
-                // A port that is just going, or no memory to map it.
-                Err(ReceiveError::ConnectionFailure(_)) => return None,
-            };
-            if !self.is_registered(node, sample.origin().value())
-                || sample.payload().len() != self.size_bytes
-            {
-                node.count_foreign();
-                continue;
-            }
-            // Widened from the low 32 bits: it is at most the newest.
-            let newest = node.newest(wanted - 1);
-            let behind = (newest as u32).wrapping_sub(sample.user_header().generation);
-            let generation = newest.saturating_sub(behind.into());
+        while let Some((generation, sample)) = self.receive(node, wanted - 1) {
             if generation == wanted {
                 return Some(self.borrowed(sample));
             }
@@ -277,6 +270,30 @@ impl Reader {
             if generation > wanted {
                 self.early.insert(generation, sample);
             }
+        }
+        None
+    }
+
+    /// The next message that the stream has, and its generation.
+    fn receive(&mut self, node: &Node, known: u64) -> Option<(u64, Message)> {
+        loop {
+            let sample = match self.subscriber.receive() {
+                Ok(sample) => sample?,
+                // Every publisher that has sent anything has sent something
+                // later than what is wanted, and that is put aside.
+                Err(ReceiveError::ExceedsMaxBorrows) => return None,
+                // A port that is just going, or no memory to map it.
+                Err(ReceiveError::ConnectionFailure(_)) => return None,
+            };
+            // Widened from the low 32 bits: it is at most the newest.
+            let newest = node.newest(known);
+            let behind = (newest as u32).wrapping_sub(sample.user_header().generation);
+            let is_ours = self.is_registered(node, sample.origin().value())
+                && sample.payload().len() == self.size_bytes;
+            if is_ours {
+                return Some((newest.saturating_sub(behind.into()), sample));
+            }
+            node.count_foreign();
         }
     }
 
@@ -302,7 +319,7 @@ impl Reader {
         now_us < self.awaited.1 + PATIENCE_US
     }
 
-    fn borrowed(&mut self, sample: Sample<Ipc, [u8], UorbHeader>) -> Stamp {
+    fn borrowed(&mut self, sample: Message) -> Stamp {
         let header = *sample.user_header();
         self.current = Current::Borrowed(sample);
         Stamp { publish_time_us: header.publish_time_us, publisher: header.publisher.into() }

@@ -47,8 +47,11 @@ impl Broker {
         }
         self.order(Order::Died(pid));
         for key in &advertised {
-            if let Some(node) = self.nodes.get(key) {
-                node.free_slots_of(peer);
+            // The streams' thread frees its slots, when what it had not sent is.
+            match self.nodes.get(key) {
+                Some(_) if self.has_stream(key) => self.order(Order::Bury(key.clone(), peer)),
+                Some(node) => node.free_slots_of(peer),
+                None => {}
             }
             self.update_counts(key);
             if let Some(node) = self.nodes.get(key) {

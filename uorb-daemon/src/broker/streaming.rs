@@ -52,6 +52,11 @@ impl Broker {
         }
     }
 
+    /// Whether a node's stream is there.
+    pub(super) fn has_stream(&self, key: &NodeKey) -> bool {
+        self.streaming.get(key).is_some_and(|streaming| streaming.made == Some(Ok(())))
+    }
+
     /// An answer that says nothing before the node's stream is there.
     pub(super) fn once_streaming(&self, key: &NodeKey, reply: Reply) -> Result<Answer, Refusal> {
         match self.streaming.get(key).and_then(|streaming| streaming.made.as_ref()) {
