@@ -139,8 +139,8 @@ impl Held<'_> {
 pub(crate) enum Unsent {
     /// Its publisher has not sent it yet. It is copied, whole.
     Read(Stamp),
-    /// Somebody is about to commit this generation, or was and is late: it
-    /// cannot be told from the one who did.
+    /// Somebody was about to commit this generation. It may be the one who did,
+    /// if it was interrupted at that instant and so was who overwrote it.
     Unknown,
     /// It was sent, or its publisher died, or it never was to be sent.
     Over,
@@ -311,7 +311,26 @@ impl<'m> Ring<'m> {
         let (generation, owner) = self.write_and_commit(writer, publish_time_us, message)?;
         let sending = word(generation, u64::from(writer.peer | SENDING));
         owner.store(sending, Ordering::Release);
+        self.mark_displaced(generation, writer.candidate);
         Ok(Held { owner, generation })
+    }
+
+    /// Whoever overwrites an order word knows that the slot which it named was
+    /// committed. If that one's publisher was interrupted before it could mark
+    /// its slot, this does it: nobody else could tell any more.
+    fn mark_displaced(&self, generation: u64, displaced: usize) {
+        let Some(slot) = self.slot(displaced) else { return };
+        let owner = slot[OWNER].load(Ordering::Relaxed);
+        let displaced = generation - self.geometry.order_words as u64;
+        let is_unmarked = owner & LOW_MASK != 0 && owner & u64::from(SENDING) == 0;
+        if generation_of(owner) == displaced && is_unmarked {
+            let marked = owner | u64::from(SENDING);
+            // It fails where its owner has gone on by itself. Acquire and release
+            // hand on what the owner has written before its commit, which our
+            // commit has seen.
+            let _ =
+                slot[OWNER].compare_exchange(owner, marked, Ordering::AcqRel, Ordering::Relaxed);
+        }
     }
 
     #[inline(always)]

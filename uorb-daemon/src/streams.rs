@@ -268,6 +268,9 @@ impl Keeper<'_> {
             if let Some(newest) = &kept.newest {
                 let _ = newest.has_samples();
             }
+            if let Some(executor) = &kept.executor {
+                executor.tidy();
+            }
             let users = kept.stream.dynamic_config();
             let mut followers = 0;
             // The number costs nothing; most streams have no follower.

@@ -132,3 +132,67 @@ fn random_words_never_lead_outside_the_tables_or_round_for_ever() {
         ring.free_slots_of(9);
     }
 }
+
+fn unsent(ring: &Ring, generation: u64) -> (Unsent, Vec<u8>) {
+    let mut message = vec![MaybeUninit::new(0); ring.geometry.message_bytes];
+    let outcome = ring.unsent(generation, &mut message);
+    // SAFETY: all of it was initialised before.
+    (outcome, message.iter().map(|byte| unsafe { byte.assume_init() }).collect())
+}
+
+#[test]
+fn a_message_that_is_not_sent_yet_can_be_read_when_the_ring_names_it_no_more() {
+    let memory = Memory::new(1, 8, BASE);
+    let ring = memory.ring();
+    let (mut slow, mut fast) = (Writer::new(1, 0), Writer::new(2, 0));
+    let held = ring.publish_unsent(&mut slow, 7, &[1; 8]).unwrap();
+    for value in 2..=50 {
+        ring.publish_unsent(&mut fast, 0, &[value; 8]).unwrap().sent();
+    }
+    assert_eq!(ring.read_exactly(BASE + 1, &mut [MaybeUninit::uninit(); 8]), Ok(None));
+
+    let stamp = Stamp { publish_time_us: 7, publisher: Writer::publisher(1, 0) };
+    assert_eq!(unsent(&ring, BASE + 1), (Unsent::Read(stamp), vec![1; 8]));
+    assert_eq!(ring.least_unsent(BASE + 1), Some(BASE + 1));
+    assert_eq!(ring.least_unsent(BASE + 2), None);
+    assert_eq!(ring.unsent_of(1), [(BASE + 1, stamp, vec![1; 8])]);
+    assert_eq!(ring.unsent_of(2), []);
+
+    held.sent();
+    assert_eq!(unsent(&ring, BASE + 1).0, Unsent::Over);
+    assert_eq!(ring.unsent_of(1), []);
+}
+
+#[test]
+fn who_overwrites_an_unmarked_message_marks_it() {
+    let memory = Memory::new(1, 8, BASE);
+    let ring = memory.ring();
+    let (mut stopped, mut fast) = (Writer::new(1, 0), Writer::new(2, 0));
+    // Committed, and interrupted before the next instruction.
+    let (generation, owner) = ring.write_and_commit(&mut stopped, 0, &[1; 8]).unwrap();
+    assert_eq!(ring.unsent_of(1).len(), 1, "the ring names it");
+    for value in 2..=4 {
+        ring.publish_unsent(&mut fast, 0, &[value; 8]).unwrap().sent();
+    }
+    assert_eq!(unsent(&ring, generation).0, Unsent::Unknown, "nobody has overwritten it");
+    for value in 5..=50 {
+        ring.publish_unsent(&mut fast, 0, &[value; 8]).unwrap().sent();
+    }
+    assert!(matches!(unsent(&ring, generation), (Unsent::Read(_), bytes) if bytes == [1; 8]));
+    owner.store(word(generation, 0), Ordering::Release);
+    assert_eq!(unsent(&ring, generation).0, Unsent::Over);
+}
+
+#[test]
+fn a_slot_that_is_claimed_anew_is_not_taken_for_what_was_in_it() {
+    let memory = Memory::new(1, 8, BASE);
+    let ring = memory.ring();
+    let (mut one, mut two) = (Writer::new(1, 0), Writer::new(2, 0));
+    for value in 1..=20 {
+        ring.publish(&mut one, 0, &[value; 8]).unwrap();
+    }
+    ring.claim(&mut two).unwrap();
+    for generation in BASE + 1..=BASE + 20 {
+        assert_eq!(unsent(&ring, generation).0, Unsent::Over);
+    }
+}

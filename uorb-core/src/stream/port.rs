@@ -232,6 +232,11 @@ impl Executor {
         Ok(())
     }
 
+    /// Lets go of followers that are gone.
+    pub fn tidy(&self) {
+        self.port.update_connections();
+    }
+
     fn new(member: &Member, system: &System, node: &Node) -> Result<Self, Error> {
         let port = Port::open(member, system, node)?;
         // One of a broker before us.

@@ -25,8 +25,8 @@ use crate::ring::{Corrupt, Stamp, Unsent};
 use crate::system::System;
 
 /// How long a message may be on its way before it is given up for lost, in
-/// microseconds: only where its publisher was stopped between its commit and
-/// the next step, and others have lapped it, or the topic is large.
+/// microseconds: a large one whose publisher was stopped before it had sent it,
+/// or one that cannot be told from one that is about to be committed.
 const PATIENCE_US: u64 = 10_000;
 
 /// A message on the stream, borrowed.
