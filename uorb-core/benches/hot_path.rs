@@ -5,21 +5,22 @@
 //! the clock once, so its floor is that read and a memcpy. A copy by value is
 //! moved once or twice more by Rust, which shows from a few kilobytes on.
 
+mod bus;
+
 use std::hint::black_box;
-use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use uorb_core::zerocopy::FromZeros;
-use uorb_core::{Publication, Session, Subscription, System, Topic, now_us, topic};
+use uorb_core::{Publication, Session, Subscription, Topic, now_us, topic};
+
+use bus::Bus;
 
 macro_rules! sizes {
     ($($Message:ident = $name:literal, $bytes:literal;)*) => {
         $(topic! { pub struct $Message = $name { words: [u64; $bytes / 8] } })*
 
         fn all_sizes(criterion: &mut Criterion) {
-            let bus = Bus::start();
+            let bus = Bus::start("hot");
             $(one_size::<$Message>(criterion, &bus);)*
         }
     };
@@ -75,44 +76,6 @@ fn clock(criterion: &mut Criterion) {
     let source = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
     println!("clock source: {}", std::fs::read_to_string(source).unwrap_or_default().trim());
     criterion.bench_function("clock read", |bencher| bencher.iter(|| black_box(now_us())));
-}
-
-/// A private system with a broker.
-#[derive(Debug)]
-struct Bus {
-    system: System,
-    base: PathBuf,
-    broker: Child,
-}
-
-impl Bus {
-    fn start() -> Self {
-        let base = PathBuf::from(format!("/dev/shm/uorb-bench-{}", std::process::id()));
-        std::fs::create_dir(&base).expect("a new directory in /dev/shm");
-        let bench = std::env::current_exe().expect("every program has a file");
-        let uorbd = bench.ancestors().map(|dir| dir.join("uorbd")).find(|path| path.is_file());
-        let uorbd = uorbd.expect("uorbd is not built: run `cargo build --release` first");
-        let mut broker = Command::new(uorbd)
-            .args(["--ready-fd", "1", "--dir"])
-            .arg(&base)
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("uorbd starts");
-        let mut line = String::new();
-        let stdout = broker.stdout.as_mut().expect("piped");
-        BufReader::new(stdout).read_line(&mut line).expect("a line");
-        assert_eq!(line, "ready\n");
-        Self { system: System::new(&base, 0), base, broker }
-    }
-}
-
-impl Drop for Bus {
-    fn drop(&mut self) {
-        let _ = self.broker.kill();
-        let _ = self.broker.wait();
-        uorb_core::World::of(&self.system).remove();
-        let _ = std::fs::remove_dir_all(&self.base);
-    }
 }
 
 criterion_group!(benches, clock, all_sizes);

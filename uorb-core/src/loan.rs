@@ -30,6 +30,8 @@ enum Memory {
     Stream(Loaned),
     /// Words, so that a message is aligned in it.
     Private(Vec<u64>),
+    /// It was published.
+    Gone,
 }
 
 impl<'p> RawLoan<'p> {
@@ -47,15 +49,15 @@ impl<'p> RawLoan<'p> {
     /// # Errors
     ///
     /// As [`RawPublication::publish`].
-    pub fn publish(self) -> Result<Generation, Error> {
-        let Self { publication, memory } = self;
-        match memory {
-            Memory::Stream(loaned) => publication.publish_loaned(loaned),
+    pub fn publish(mut self) -> Result<Generation, Error> {
+        match std::mem::replace(&mut self.memory, Memory::Gone) {
+            Memory::Stream(loaned) => self.publication.publish_loaned(loaned),
             Memory::Private(words) => {
-                let published = publication.publish_private(words.as_bytes());
-                publication.keep_private(words);
+                let published = self.publication.publish_private(words.as_bytes());
+                self.publication.keep_private(words);
                 published
             }
+            Memory::Gone => unreachable!("publishing takes the loan"),
         }
     }
 
@@ -78,6 +80,7 @@ impl Deref for RawLoan<'_> {
         match &self.memory {
             Memory::Stream(loaned) => loaned.bytes(),
             Memory::Private(words) => &words.as_bytes()[..size_bytes],
+            Memory::Gone => &[],
         }
     }
 }
@@ -88,6 +91,17 @@ impl DerefMut for RawLoan<'_> {
         match &mut self.memory {
             Memory::Stream(loaned) => loaned.bytes_mut(),
             Memory::Private(words) => &mut words.as_mut_bytes()[..size_bytes],
+            Memory::Gone => &mut [],
+        }
+    }
+}
+
+impl Drop for RawLoan<'_> {
+    fn drop(&mut self) {
+        match std::mem::replace(&mut self.memory, Memory::Gone) {
+            Memory::Stream(loaned) => self.publication.give_back(loaned),
+            Memory::Private(words) => self.publication.keep_private(words),
+            Memory::Gone => {}
         }
     }
 }

@@ -173,8 +173,20 @@ impl RawPublication {
     }
 
     pub(crate) fn publish_loaned(&mut self, loaned: Loaned) -> Result<Generation, Error> {
-        self.check()?;
-        self.commit_and_send(None, Some(loaned))
+        match self.check() {
+            Ok(()) => self.commit_and_send(None, Some(loaned)),
+            Err(error) => {
+                self.give_back(loaned);
+                Err(error)
+            }
+        }
+    }
+
+    /// Gives memory of the stream back that is not to be published.
+    pub(crate) fn give_back(&self, loaned: Loaned) {
+        if let Some(port) = self.port.get() {
+            port.give_back(loaned);
+        }
     }
 
     pub(crate) fn publish_private(&mut self, padded: &[u8]) -> Result<Generation, Error> {
@@ -204,8 +216,10 @@ impl RawPublication {
         message: Option<&[u8]>,
         loaned: Option<Loaned>,
     ) -> Result<Generation, Error> {
+        let port = self.port.get();
+        let loaned = port.zip(loaned);
         let published = self.node.publish_and_send(&mut self.writer, message, loaned);
-        if let Some(port) = self.port.get() {
+        if let Some(port) = port {
             port.notify();
         }
         published.map(Generation::from_wide).map_err(|_| self.busy())

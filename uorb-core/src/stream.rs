@@ -28,9 +28,10 @@ use crate::topic::{Instance, Metadata};
 
 pub use world::{Member, World};
 
-/// The kind of iceoryx2 service: between processes, with ports that a thread
-/// may hand to another.
-pub type Ipc = iceoryx2::service::ipc_threadsafe::Service;
+/// The kind of iceoryx2 service: between processes, with ports that have no lock
+/// of their own. Those that threads hand to each other have one of ours around
+/// them, or one owner, which costs a third.
+pub type Ipc = iceoryx2::service::ipc::Service;
 /// An opened stream.
 pub type Stream = port_factory::publish_subscribe::PortFactory<Ipc, [u8], UorbHeader>;
 /// The event service of the same name, for foreign programs that want to wait.

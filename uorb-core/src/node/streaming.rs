@@ -9,7 +9,7 @@ use crate::mapping::Mapping;
 use crate::node_file::{counts, doorbell, last_section, ring_section};
 use crate::ring::{Busy, Corrupt, Stamp, Unsent, Writer, load_words, store_words};
 use crate::stream::STREAMS_MAX;
-use crate::stream::port::Loaned;
+use crate::stream::port::{Loaned, Port};
 use crate::sync::{AtomicU64, Ordering, fence};
 
 /// One stream subscription, as the broker has written it into the counts.
@@ -84,7 +84,7 @@ impl Node {
         &self,
         writer: &mut Writer,
         message: Option<&[u8]>,
-        loaned: Option<Loaned>,
+        loaned: Option<(&Port, Loaned)>,
     ) -> Result<u64, Busy> {
         let Some(mapped) = self.ring.get() else { return Err(Busy) };
         let publish_time_us = now_us();
@@ -93,15 +93,25 @@ impl Node {
             // A large message is nowhere but on the stream.
             _ if self.identity.metadata.layout.is_large() => &[],
             (_, Some(message)) => message,
-            (Some(loaned), None) => loaned.bytes(),
+            (Some((_, loaned)), None) => loaned.bytes(),
             (None, None) => return Err(Busy),
         };
-        let held = mapped.ring.publish_unsent(writer, publish_time_us, in_node)?;
-        let generation = held.generation;
-        if let Some(loaned) = loaned {
-            loaned.send(generation, stamp);
-        }
-        held.sent();
+        let held = mapped.ring.publish_unsent(writer, publish_time_us, in_node);
+        let generation = match (held, loaned) {
+            (Ok(held), loaned) => {
+                let generation = held.generation;
+                if let Some((port, loaned)) = loaned {
+                    port.send(loaned, generation, stamp);
+                }
+                held.sent();
+                generation
+            }
+            (Err(busy), Some((port, loaned))) => {
+                port.give_back(loaned);
+                return Err(busy);
+            }
+            (Err(busy), None) => return Err(busy),
+        };
         self.ring_if_asked(mapped);
         Ok(generation)
     }

@@ -5,8 +5,8 @@
 //! does. A publish then loans a message's memory, commits to the node, and
 //! sends.
 
-use std::collections::HashSet;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::mem::ManuallyDrop;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -47,11 +47,15 @@ impl PortCell {
     ) -> Result<(), Error> {
         let _opening = self.opening.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(port) = self.port.get() {
-            port.update_connections();
+            // A newcomer is to have the newest large message; an ordinary one is
+            // in the node, and the next send tells of the newcomer.
+            if port.is_large {
+                port.update_connections();
+            }
         } else {
             let port = Port::open(member, system, node)?;
             let (peer, handle) = publisher;
-            if !node.enter_port(peer, handle, port.publisher.id().value()) {
+            if !node.enter_port(peer, handle, port.id) {
                 return Err(Error::stream(node.name(), "all its ports are taken"));
             }
             let _ = self.port.set(port);
@@ -64,14 +68,30 @@ impl PortCell {
 
 #[derive(Debug)]
 pub(crate) struct Port {
-    publisher: Publisher<Ipc, [u8], UorbHeader>,
-    notifier: Notifier<Ipc>,
+    ends: Mutex<Ends>,
     events: Events,
     size_bytes: usize,
+    is_large: bool,
     name: String,
-    /// Where the messages are whose pages are taken. None: of all of them.
-    populated: Option<Mutex<HashSet<usize>>>,
+    id: u128,
 }
+
+/// What iceoryx2 wants used by one thread at a time.
+#[derive(Debug)]
+struct Ends {
+    publisher: Publisher<Ipc, [u8], UorbHeader>,
+    notifier: Notifier<Ipc>,
+    /// Of a large topic: where its messages begin, and which of them have their
+    /// pages.
+    first: usize,
+    populated: Vec<bool>,
+}
+
+// SAFETY: the two ports and the messages loaned from them share counters that
+// are not atomic, and nothing that belongs to a thread. All of them are reached
+// under the mutex around this only: loaned messages are sent and given back
+// there, too (see `Loaned`).
+unsafe impl Send for Ends {}
 
 impl Port {
     fn open(member: &Member, system: &System, node: &Node) -> Result<Self, Error> {
@@ -93,36 +113,46 @@ impl Port {
             .create()
             .map_err(|why| Error::stream(&name, format!("no notifier: iceoryx2 says {why:?}")))?;
         let port = Self {
-            publisher,
-            notifier,
+            id: publisher.id().value(),
+            ends: Mutex::new(Ends { publisher, notifier, first: 0, populated: Vec::new() }),
             events,
             size_bytes: layout.size_bytes as usize,
-            populated: layout.is_large().then(Mutex::default),
+            is_large: layout.is_large(),
             name,
         };
-        port.populate_beginning()?;
+        port.populate_beginning(slots)?;
         Ok(port)
+    }
+
+    fn ends(&self) -> MutexGuard<'_, Ends> {
+        self.ends.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes the pages that iceoryx2 writes by itself, which are the headers,
     /// and for ordinary topics those of all messages.
-    fn populate_beginning(&self) -> Result<(), Error> {
+    fn populate_beginning(&self, slots: usize) -> Result<(), Error> {
+        let mut ends = self.ends();
         // Not populated yet, and touched for its address: the room was checked.
-        let mut first = self
-            .publisher
-            .loan_slice_uninit(self.size_bytes)
-            .map_err(|why| Error::stream(&self.name, format!("no message: {why:?}")))?;
-        let address = first.payload_mut().as_mut_ptr() as usize;
-        let Some((start, end)) = mapping_of(address) else { return Ok(()) };
-        if self.populated.is_none() {
+        let address = {
+            let mut first = ends
+                .publisher
+                .loan_slice_uninit(self.size_bytes)
+                .map_err(|why| Error::stream(&self.name, format!("no message: {why:?}")))?;
+            first.payload_mut().as_mut_ptr() as usize
+        };
+        let Some((start, end)) = mapping_of(address) else {
+            return Err(Error::stream(&self.name, "its memory is not mapped"));
+        };
+        if !self.is_large {
             return self.take_pages(start, end);
         }
-        let stride = stride_bytes(self.size_bytes as u32);
-        let header = address - super::HEADERS_BYTES;
-        self.take_pages(start, header)?;
-        (header..end - super::HEADERS_BYTES)
-            .step_by(stride)
-            .try_for_each(|header| self.take_pages(header, header + super::HEADERS_BYTES))
+        (ends.first, ends.populated) = (address, vec![false; slots]);
+        self.take_pages(start, address)?;
+        let headers = (address..end).step_by(stride_bytes(self.size_bytes as u32));
+        headers
+            .skip(1)
+            .take(slots - 1)
+            .try_for_each(|message| self.take_pages(message - super::HEADERS_BYTES, message))
     }
 
     fn take_pages(&self, start: usize, end: usize) -> Result<(), Error> {
@@ -135,41 +165,70 @@ impl Port {
 
     /// The memory of the next message, with whatever was in it before.
     pub(crate) fn loan(&self) -> Result<Loaned, Error> {
-        let mut sample = self.publisher.loan_slice_uninit(self.size_bytes).map_err(|why| {
+        let mut ends = self.ends();
+        let mut sample = ends.publisher.loan_slice_uninit(self.size_bytes).map_err(|why| {
             Error::stream(&self.name, format!("no memory for a message: iceoryx2 says {why:?}"))
         })?;
-        if let Some(populated) = &self.populated {
+        if self.is_large {
             let address = sample.payload_mut().as_mut_ptr() as usize;
-            let mut populated = populated.lock().unwrap_or_else(PoisonError::into_inner);
-            if !populated.contains(&address) {
+            let slot = (address - ends.first) / stride_bytes(self.size_bytes as u32);
+            if ends.populated.get(slot) != Some(&true) {
                 self.take_pages(address, address + self.size_bytes)?;
-                populated.insert(address);
+                if let Some(populated) = ends.populated.get_mut(slot) {
+                    *populated = true;
+                }
             }
         }
         // SAFETY: the memory is a file's, which the kernel has filled with zeros
         // before anybody wrote there. Bytes have no invalid values.
         let sample = unsafe { sample.assume_init() };
-        Ok(Loaned { sample })
+        Ok(Loaned { sample: ManuallyDrop::new(sample) })
+    }
+
+    /// Hands a message, which is committed to the node, to everybody who follows
+    /// the stream. Whoever it does not reach finds it missing.
+    pub(crate) fn send(&self, loaned: Loaned, generation: u64, stamp: Stamp) {
+        let _ends = self.ends();
+        let mut sample = ManuallyDrop::into_inner(loaned.sample);
+        *sample.user_header_mut() = UorbHeader {
+            generation: generation as u32,
+            publisher: u32::from(stamp.publisher as u16),
+            publish_time_us: stamp.publish_time_us,
+        };
+        let _ = sample.send();
+    }
+
+    /// Takes a message back that is not to be sent.
+    pub(crate) fn give_back(&self, loaned: Loaned) {
+        let _ends = self.ends();
+        drop(ManuallyDrop::into_inner(loaned.sample));
     }
 
     /// Wakes foreign programs that wait for the stream, if there are any.
     pub(crate) fn notify(&self) {
         if self.events.dynamic_config().number_of_listeners() > 0 {
-            let _ = self.notifier.notify();
+            let _ = self.ends().notifier.notify();
         }
     }
 
     fn update_connections(&self) {
         // What cannot be told now is told at the next send.
-        let _ = self.publisher.update_connections();
+        let _ = self.ends().publisher.update_connections();
     }
 }
 
-/// The memory of a message that is being written.
+/// The memory of a message that is being written. It goes back to its port by
+/// `send` or `give_back`, under the port's lock.
 #[derive(Debug)]
 pub(crate) struct Loaned {
-    sample: SampleMut<Ipc, [u8], UorbHeader>,
+    sample: ManuallyDrop<SampleMut<Ipc, [u8], UorbHeader>>,
 }
+
+// SAFETY: what it shares with its port is touched by `send` and `give_back` only,
+// which hold the port's lock; its bytes are its own.
+unsafe impl Send for Loaned {}
+// SAFETY: a shared reference gives nothing but the bytes.
+unsafe impl Sync for Loaned {}
 
 impl Loaned {
     pub(crate) fn bytes(&self) -> &[u8] {
@@ -178,17 +237,6 @@ impl Loaned {
 
     pub(crate) fn bytes_mut(&mut self) -> &mut [u8] {
         self.sample.payload_mut()
-    }
-
-    /// Hands the message, which is committed to the node, to everybody who
-    /// follows the stream. Whoever it does not reach finds it missing.
-    pub(crate) fn send(mut self, generation: u64, stamp: Stamp) {
-        *self.sample.user_header_mut() = UorbHeader {
-            generation: generation as u32,
-            publisher: u32::from(stamp.publisher as u16),
-            publish_time_us: stamp.publish_time_us,
-        };
-        let _ = self.sample.send();
     }
 }
 
@@ -227,7 +275,7 @@ impl Executor {
             };
             let mut loaned = port.loan()?;
             loaned.bytes_mut().copy_from_slice(&message);
-            loaned.send(generation, stamp);
+            port.send(loaned, generation, stamp);
         }
         Ok(())
     }
@@ -241,7 +289,7 @@ impl Executor {
         let port = Port::open(member, system, node)?;
         // One of a broker before us.
         node.leave_ports_of(BROKER);
-        if !node.enter_port(BROKER, 0, port.publisher.id().value()) {
+        if !node.enter_port(BROKER, 0, port.id) {
             return Err(Error::stream(node.name(), "all its ports are taken"));
         }
         Ok(Self { port })

@@ -9,6 +9,7 @@
 //! another's. A message that came too early is put aside until its turn.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::mem::MaybeUninit;
 
 use iceoryx2::port::ReceiveError;
@@ -33,7 +34,6 @@ const PATIENCE_US: u64 = 10_000;
 type Message = Sample<Ipc, [u8], UorbHeader>;
 
 /// iceoryx2's and our own state of following a stream.
-#[derive(Debug)]
 pub(crate) struct Reader {
     subscriber: Subscriber<Ipc, [u8], UorbHeader>,
     /// Which of the node's stream entries is ours.
@@ -55,8 +55,20 @@ pub(crate) struct Reader {
     lost: u64,
 }
 
+// SAFETY: the subscriber and the messages borrowed from it share counters that
+// are not atomic, and nothing that belongs to a thread. All of them are in here,
+// and reached by an exclusive reference only, so by one thread at a time.
+unsafe impl Send for Reader {}
+// SAFETY: a shared reference gives nothing but numbers and a message's bytes.
+unsafe impl Sync for Reader {}
+
+impl fmt::Debug for Reader {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Reader").field("index", &self.index).finish_non_exhaustive()
+    }
+}
+
 /// The message that was delivered last.
-#[derive(Debug)]
 enum Current {
     None,
     Borrowed(Message),
