@@ -13,8 +13,8 @@ use std::time::Duration;
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{
     AdvertiseOptions, Claim, Error, Instance, Layout as MessageLayout, Metadata, Priority,
-    Publication, QueueLength, RawPublication, RawSubscription, Session, Subscription, System, poll,
-    topic,
+    Publication, QueueLength, RawPublication, RawSubscription, Session, StreamSubscription,
+    Subscription, System, poll, topic,
 };
 use uorb_tests::{PATIENCE, Plain, Stamped, program};
 
@@ -37,6 +37,7 @@ fn main() -> ExitCode {
         ["wait-and-hold", count] => wait_and_hold(number(count)),
         ["hold-and-drop", count] => hold_and_drop(number(count)),
         ["hot-path"] => hot_path(),
+        ["hot-path-of-a-stream"] => hot_path_of_a_stream(),
         ["fill-small-memory"] => fill_small_memory(),
         other => panic!("no such actor: {other:?}"),
     };
@@ -361,6 +362,37 @@ fn hot_path() -> Result<(), Error> {
     nix::unistd::getppid();
     for count in 1..=1_000 {
         round(count)?;
+    }
+    nix::unistd::getppid();
+    println!("allocations {}", ALLOCATIONS.load(Ordering::Relaxed) - before);
+    Ok(())
+}
+
+/// Publishes while a thread begins to follow the stream, then to that follower;
+/// the marks are as in `hot_path`.
+fn hot_path_of_a_stream() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Publication::<Stamped>::advertise(&session)?;
+    let message = Stamped::new(0, 1);
+    stamped.publish(&message)?;
+    let follow = {
+        let session = session.clone();
+        move || StreamSubscription::<Stamped>::subscribe(&session)
+    };
+    nix::unistd::getppid();
+    let follower = std::thread::spawn(follow);
+    while !follower.is_finished() {
+        stamped.publish(&message)?;
+    }
+    nix::unistd::getppid();
+    let mut follower = follower.join().expect("it does not panic")?;
+    stamped.publish(&message)?;
+    while follower.update().is_some() {}
+    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    nix::unistd::getppid();
+    for _ in 0..1_000 {
+        stamped.publish(&message)?;
+        assert!(follower.update().is_some_and(Stamped::is_whole));
     }
     nix::unistd::getppid();
     println!("allocations {}", ALLOCATIONS.load(Ordering::Relaxed) - before);

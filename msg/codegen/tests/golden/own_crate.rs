@@ -74,6 +74,69 @@ impl ::uorb_core::Topic for DockArm {
     };
 }
 
+/// What the dock's camera sees: too large for a node, so it lives on its stream.
+///
+/// Topic `dock_image`: 6220808 bytes.
+#[derive(
+    Clone, Copy, Debug, PartialEq,
+    ::uorb_core::zerocopy::FromBytes, ::uorb_core::zerocopy::IntoBytes,
+    ::uorb_core::zerocopy::Immutable,
+)]
+#[zerocopy(crate = "uorb_core::zerocopy")]
+#[repr(C)]
+pub struct DockImage {
+    /// Time since the system started.
+    ///
+    /// Unit: `us`.
+    pub timestamp: u64,
+    /// 1920 x 1080 pixels of three bytes
+    pub data: [u8; 6220800],
+}
+
+impl ::core::default::Default for DockImage {
+    fn default() -> Self {
+        ::uorb_core::zerocopy::FromZeros::new_zeroed()
+    }
+}
+
+impl ::uorb_core::Message for DockImage {
+    const LAYOUT: &'static ::uorb_core::Layout = {
+        const FIELDS: &[::uorb_core::Field] = &[
+            uorb_field(
+                "timestamp",
+                ::uorb_core::FieldType::Uint64,
+                ::core::option::Option::None,
+                ::core::mem::offset_of!(DockImage, timestamp),
+                "us",
+            ),
+            uorb_field(
+                "data",
+                ::uorb_core::FieldType::Uint8,
+                ::core::option::Option::Some(6220800),
+                ::core::mem::offset_of!(DockImage, data),
+                "",
+            ),
+        ];
+        assert!(::core::mem::size_of::<DockImage>() == 6220808);
+        assert!(::uorb_core::message_hash(FIELDS) == 0x48d1c4ad);
+        &::uorb_core::Layout {
+            name: ::std::borrow::Cow::Borrowed("dock_image"),
+            size_bytes: 6220808,
+            message_hash: 0x48d1c4ad,
+            fields: ::std::borrow::Cow::Borrowed(FIELDS),
+        }
+    };
+}
+
+impl ::uorb_core::Topic for DockImage {
+    type Message = DockImage;
+    const METADATA: &'static ::uorb_core::Metadata = &::uorb_core::Metadata {
+        name: ::std::borrow::Cow::Borrowed("dock_image"),
+        layout: ::std::borrow::Cow::Borrowed(<DockImage as ::uorb_core::Message>::LAYOUT),
+        queue_length: ::uorb_core::QueueLength::at_least(1),
+    };
+}
+
 /// A dock that charges vehicles. Every sort of declaration is in this file.
 ///
 /// It has two arms \[left, right\], which hold a vehicle as \<vehicle_id> says.
@@ -457,6 +520,7 @@ const fn uorb_field(
 /// All topics that are defined here, sorted by name.
 pub static TOPICS: &[&::uorb_core::Metadata] = &[
     <DockArm as ::uorb_core::Topic>::METADATA,
+    <DockImage as ::uorb_core::Topic>::METADATA,
     <DockStatus as ::uorb_core::Topic>::METADATA,
     <DockStatusSimulated as ::uorb_core::Topic>::METADATA,
     <DockStatusSpare as ::uorb_core::Topic>::METADATA,
@@ -469,6 +533,8 @@ pub static TOPICS: &[&::uorb_core::Metadata] = &[
 pub enum OrbId {
     /// `dock_arm`
     DockArm,
+    /// `dock_image`
+    DockImage,
     /// `dock_status`
     DockStatus,
     /// `dock_status_simulated`
@@ -481,6 +547,7 @@ impl OrbId {
     /// All of them, in order.
     pub const ALL: &'static [Self] = &[
         Self::DockArm,
+        Self::DockImage,
         Self::DockStatus,
         Self::DockStatusSimulated,
         Self::DockStatusSpare,

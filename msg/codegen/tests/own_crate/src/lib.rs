@@ -17,7 +17,7 @@ mod tests {
         let names: Vec<&str> = TOPICS.iter().map(|topic| &*topic.name).collect();
         assert_eq!(
             names,
-            ["dock_arm", "dock_status", "dock_status_simulated", "dock_status_spare"]
+            ["dock_arm", "dock_image", "dock_status", "dock_status_simulated", "dock_status_spare"]
         );
         assert_eq!(OrbId::from_name("dock_status"), Some(OrbId::DockStatus));
         assert_eq!(DockStatusSpare::METADATA.queue_length.get(), 4);
@@ -28,6 +28,12 @@ mod tests {
     fn a_message_of_a_search_folder_is_a_struct_and_no_topic() {
         assert_eq!(size_of::<EscReport>(), 48);
         assert_eq!(OrbId::from_name("esc_report"), None);
+    }
+
+    #[test]
+    fn a_message_may_be_too_large_for_a_node() {
+        assert_eq!(size_of::<DockImage>(), 6_220_808);
+        assert!(DockImage::LAYOUT.is_large() && !DockStatus::LAYOUT.is_large());
     }
 
     #[test]
