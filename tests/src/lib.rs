@@ -5,6 +5,7 @@
 //! went into the background, and removes the directory. Stories wait for lines
 //! that processes print and for what the bus says, never for time to pass.
 
+mod foreigner;
 mod process;
 mod stranger;
 
@@ -22,6 +23,7 @@ use uorb_core::{
     System, Topic, World, topic,
 };
 
+pub use self::foreigner::Foreigner;
 pub use self::process::{Actor, Ended, is_running};
 pub use self::stranger::Stranger;
 use crate::process::lock_holder;

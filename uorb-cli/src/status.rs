@@ -200,7 +200,8 @@ impl<'s> Streams<'s> {
     fn new(BrokerStatus { world, no_streams, .. }: &'s BrokerStatus) -> Self {
         Self {
             prefix: &world.prefix,
-            root: world.root.to_string_lossy(),
+            // The default world's ends in a slash, which others do without.
+            root: world.root.components().as_path().to_string_lossy(),
             none_because: no_streams.as_deref(),
         }
     }
