@@ -272,6 +272,11 @@ impl Drop for Bus {
             }
         }
         World::of(&self.system).remove();
+        // Those of other systems, too: a broker that a story has killed could not
+        // remove its own.
+        let names = fs::read_dir(&self.base).into_iter().flatten().flatten();
+        let systems = names.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+        systems.for_each(|number| World::of(&System::new(&self.base, number)).remove());
         let _ = fs::remove_dir_all(&self.base);
     }
 }
