@@ -50,9 +50,9 @@ A topic that was compiled in has fields before anybody uses it.
 
 An instance's stream is an iceoryx2 service with every message. Its followers
 are subscribers that have a queue of their own there: how many messages it
-holds, how many wait in it (pending), and how many were lost. Foreign programs
-follow it too; what they publish there is dropped. `uorb status` says in which
-world of iceoryx2 it is.";
+holds, how many they have still to receive (pending; more than it holds will be
+lost), and how many were lost. Foreign programs may follow it too; what they
+publish there is dropped. `uorb status` says in which world of iceoryx2 it is.";
 
 fn window(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {

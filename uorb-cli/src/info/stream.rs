@@ -27,7 +27,8 @@ struct Follower {
     depth: u32,
     /// Whether publishers that ask are to wait for it.
     back_pressure: bool,
-    /// Messages that it has still to receive.
+    /// Messages that it has still to receive: of more than its queue holds, the
+    /// oldest will be lost.
     pending: u64,
     lost: u64,
 }
