@@ -5,6 +5,7 @@
 //! went into the background, and removes the directory. Stories wait for lines
 //! that processes print and for what the bus says, never for time to pass.
 
+mod foreigner;
 mod process;
 mod stranger;
 
@@ -22,6 +23,7 @@ use uorb_core::{
     System, Topic, World, topic,
 };
 
+pub use self::foreigner::Foreigner;
 pub use self::process::{Actor, Ended, is_running};
 pub use self::stranger::Stranger;
 use crate::process::lock_holder;
@@ -270,6 +272,11 @@ impl Drop for Bus {
             }
         }
         World::of(&self.system).remove();
+        // Those of other systems, too: a broker that a story has killed could not
+        // remove its own.
+        let names = fs::read_dir(&self.base).into_iter().flatten().flatten();
+        let systems = names.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+        systems.for_each(|number| World::of(&System::new(&self.base, number)).remove());
         let _ = fs::remove_dir_all(&self.base);
     }
 }

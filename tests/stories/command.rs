@@ -1,13 +1,16 @@
 //! `uorb start`, `stop` and `status`: the broker from the command line.
 
 use std::fs;
+use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
+use nix::mount::{MsFlags, mount};
+use nix::sched::{CloneFlags, unshare};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
-use uorb_core::{Error, Session};
+use uorb_core::{Error, Session, World};
 use uorb_tests::{Actor, Bus, Plain, eventually, is_running, program};
 
 fn end(pid: u32, signal: Signal) {
@@ -144,6 +147,91 @@ fn stop_ends_every_handle_and_removes_the_directory() {
     assert!(ended.words.contains("has ended (`uorb stop`)"), "{}", ended.words);
 }
 
+/// What of a world of iceoryx2 is in shared memory.
+fn shared_memory_of(world: &World) -> Vec<String> {
+    let entries = fs::read_dir("/dev/shm").unwrap().flatten();
+    let names = entries.map(|entry| entry.file_name().into_string().unwrap());
+    names.filter(|name| name.starts_with(&world.prefix)).collect()
+}
+
+#[test]
+fn stop_removes_the_world_of_the_streams_while_they_are_followed() {
+    let bus = Bus::without_broker();
+    bus.start_by_command();
+    let world = World::of(&bus.system);
+    let mut publisher = bus.spawn(&["publish-for-ever", "1"]);
+    publisher.expect("advertised");
+    let all = ["listener", "stamped", "--all-messages", "--json", "--field", "count"];
+    let mut listener = bus.spawn_uorb(&all);
+    listener.line().expect("a message");
+    assert!(world.root.is_dir() && !shared_memory_of(&world).is_empty());
+
+    let stopped = bus.uorb(&["stop"]);
+
+    assert_eq!(stopped.code, 0, "{}", stopped.words);
+    assert_eq!(shared_memory_of(&world), Vec::<String>::new());
+    assert_eq!(fs::read_dir(bus.system.base()).unwrap().count(), 0);
+    let ended = listener.end();
+    assert_eq!(ended.code, 1);
+    assert!(ended.words.contains("has ended (`uorb stop`)"), "{}", ended.words);
+    publisher.until(&["has ended"]);
+    publisher.end();
+    assert_eq!(shared_memory_of(&world), Vec::<String>::new(), "nor do they who were left");
+    assert_eq!(fs::read_dir(bus.system.base()).unwrap().count(), 0);
+}
+
+/// A system in the default directory, a publisher and a follower of a stream
+/// there, and what all this leaves.
+const IN_THE_DEFAULT_DIRECTORY: &str = "
+trap 'uorb stop' EXIT
+uorb start
+uorb pub orb_test val=7 -r 1000 &
+uorb listener orb_test 3 --all-messages --csv --field val
+uorb status --json
+uorb stop
+wait
+ls -A /dev/shm
+ls -A /tmp
+";
+
+#[test]
+fn in_the_default_world_stop_leaves_what_is_iceoryx2_s_and_nothing_else() {
+    let mut shell = Command::new("sh");
+    shell.args(["-c", IN_THE_DEFAULT_DIRECTORY]).stdin(Stdio::null());
+    for name in ["UORB_DIR", "UORB_SYSTEM", "UORB_LOG"] {
+        shell.env_remove(name);
+    }
+    let uorb = program("uorb");
+    let paths = [uorb.parent().unwrap(), "/usr/bin".as_ref(), "/bin".as_ref()];
+    shell.env("PATH", std::env::join_paths(paths).unwrap());
+    let in_private = || {
+        let none: Option<&str> = None;
+        let of_memory = |dir| mount(Some("tmpfs"), dir, Some("tmpfs"), MsFlags::empty(), none);
+        unshare(CloneFlags::CLONE_NEWNS)?;
+        mount(none, "/", none, MsFlags::MS_REC | MsFlags::MS_PRIVATE, none)?;
+        of_memory("/dev/shm")?;
+        Ok(of_memory("/tmp")?)
+    };
+    // SAFETY: between fork and exec there are but system calls.
+    #[allow(unsafe_code)]
+    let spawned = unsafe { shell.pre_exec(in_private) }.output();
+    let ended = match spawned {
+        Ok(ended) => ended,
+        Err(error) => return eprintln!("skipped: no mount namespace can be made here: {error}"),
+    };
+
+    let out = String::from_utf8(ended.stdout).unwrap();
+    let lines: Vec<&str> = out.lines().collect();
+    let ["val", "7", "7", "7", status, left @ ..] = &lines[..] else {
+        panic!("{out} {}", String::from_utf8_lossy(&ended.stderr))
+    };
+    let status: Value = serde_json::from_str(status).unwrap();
+    assert_eq!(status["streams"]["prefix"], "iox2_");
+    assert_eq!(status["streams"]["root"], "/tmp/iceoryx2");
+    assert!(left[0].starts_with("iox2_") && left[0].ends_with(".global_mgmt"), "{left:?}");
+    assert_eq!(left[1..], ["iceoryx2"], "{left:?}");
+}
+
 #[test]
 fn foreground_is_the_broker_itself_and_a_signal_ends_it_and_leaves_nothing() {
     for signal in [Signal::SIGTERM, Signal::SIGINT] {
@@ -217,6 +305,10 @@ fn status_names_the_broker_the_processes_the_nodes_and_what_was_lost() {
 
     assert_eq!(status["broker"]["pid"], bus.broker_pid());
     assert_eq!(status["broker"]["directory"], bus.system.to_string());
+    let world = World::of(&bus.system);
+    assert_eq!(status["streams"]["prefix"], world.prefix);
+    assert_eq!(status["streams"]["root"], world.root.to_str().unwrap());
+    assert!(status["streams"]["none_because"].is_null());
     let peers: Vec<_> = status["peers"].as_array().unwrap().iter().collect();
     let mut pids: Vec<u64> = peers.iter().map(|peer| peer["pid"].as_u64().unwrap()).collect();
     pids.sort_unstable();
@@ -228,6 +320,9 @@ fn status_names_the_broker_the_processes_the_nodes_and_what_was_lost() {
     let pid = bus.broker_pid();
     assert!(shown.contains(&format!("pid {pid}, up ")) && shown.contains("processes: 2,"));
     assert!(shown.contains("\nstamped     0    1  1  256 /obj/stamped0\n"), "{shown}");
+    let (prefix, root) = (&world.prefix, world.root.display());
+    let streams = format!("\nstreams: iceoryx2 with prefix {prefix} and root {root}\n");
+    assert!(shown.contains(&streams), "{shown}");
     assert!(shown.ends_with("\nNo lost messages\n"), "nobody was asked for them yet: {shown}");
 
     slow.signal(Signal::SIGCONT);

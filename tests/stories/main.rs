@@ -1,5 +1,7 @@
 //! Whole-bus stories, by what they are about.
 
+/// `uorb listener --all-messages`, and large topics.
+mod all_messages;
 /// One publisher, one subscriber, and what they may expect of each other.
 mod basics;
 /// `uorb start`, `stop` and `status`.

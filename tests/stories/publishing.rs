@@ -1,8 +1,9 @@
 //! `uorb pub`, and what `uorb info` and `uorb ls` then show of it.
 
+use nix::sys::signal::Signal;
 use serde_json::Value;
 use uorb_msg::{BatteryStatus, SensorAccel, VehicleAttitude};
-use uorb_tests::{Actor, Bus, Stamped, eventually};
+use uorb_tests::{Actor, Bus, Foreigner, Image, Stamped, eventually, program};
 
 fn published(ended: uorb_tests::Ended, words: &str) {
     assert_eq!((ended.code, &*ended.out, &*ended.words), (0, "", words));
@@ -218,6 +219,113 @@ fn a_topic_s_fields_are_shown_with_their_units_before_anybody_uses_it() {
     assert!(shown.contains(" float32 x               m/s^2\n"), "{shown}");
     assert!(shown.ends_with("no instance: nobody has advertised it or subscribed to it\n"));
     bus.uorb(&["info", "sensor_acel"]).failed(&["did you mean sensor_accel?"]);
+}
+
+#[test]
+fn info_names_who_follows_a_stream_how_deep_and_what_they_lost() {
+    let bus = Bus::start();
+    let mut publisher = bus.spawn(&["publish", "100", "1"]);
+    publisher.expect("advertised");
+    // One after the other: they are named in this order.
+    let streamers = [["follow", "16"], ["follow-and-press", "32"]].map(|arguments| {
+        let mut streamer = bus.spawn_program(&program("streamer"), &arguments);
+        streamer.expect("subscribed");
+        streamer.stop();
+        streamer
+    });
+    publisher.say("go");
+    publisher.expect("published");
+    let stream = || info(&bus, "stamped")["instances"][0]["stream"].clone();
+    let follower = |depth: u64| {
+        let all = stream()["followers"].as_array().unwrap().clone();
+        all.into_iter().find(|follower| follower["depth"] == depth).expect("it follows")
+    };
+
+    assert_eq!(stream()["name"], "uorb/0/stamped/0");
+    assert_eq!(stream()["depth_max"], 1_024);
+    for (streamer, (depth, presses)) in streamers.iter().zip([(16, false), (32, true)]) {
+        let follower = follower(depth);
+        assert_eq!(
+            (&follower["name"], &follower["pid"]),
+            (&"streamer".into(), &streamer.pid().into())
+        );
+        assert_eq!(
+            (&follower["back_pressure"], &follower["pending"]),
+            (&presses.into(), &100.into())
+        );
+        assert_eq!(follower["lost"], 0, "it has not looked yet");
+    }
+    let [slow, pressing] = &streamers;
+    let shown = bus.uorb(&["info", "stamped", "--window", "0"]).fine();
+    let lines = format!(
+        "
+  stream     uorb/0/stamped/0, queues of up to 1024 messages
+  follower   streamer (pid {}), queue of 16, pending 100, lost 0
+  follower   streamer (pid {}), queue of 32, back-pressure, pending 100, lost 0
+",
+        slow.pid(),
+        pressing.pid()
+    );
+    assert!(shown.contains(&lines), "{shown}");
+
+    slow.signal(Signal::SIGCONT);
+    eventually("it has looked", || follower(16)["pending"] == 0);
+    assert_eq!(follower(16)["lost"], 84);
+}
+
+#[test]
+fn info_tells_of_foreign_programs_and_what_was_dropped_of_theirs() {
+    let bus = Bus::start();
+    let mut publisher = bus.spawn(&["publish", "1", "1"]);
+    publisher.expect("advertised");
+    let foreign = || info(&bus, "stamped")["instances"][0]["stream"]["foreign"].clone();
+    let of = |followers: u64, publishers: u64, dropped: u64| {
+        serde_json::json!({
+            "followers": followers, "publishers": publishers, "dropped": dropped
+        })
+    };
+    assert_eq!(foreign(), of(0, 0, 0));
+
+    let foreigner = Foreigner::open(&bus.system, "stamped");
+    let followers = [foreigner.follow(), foreigner.follow()];
+    let publish = foreigner.publish();
+
+    eventually("they are seen", || foreign() == of(2, 1, 0));
+    let all = ["listener", "stamped", "1", "--all-messages", "--json", "--field", "count"];
+    let mut listener = bus.spawn_uorb(&all);
+    assert!(listener.word().expect("it waits").contains("waiting"));
+    for _ in 0..3 {
+        publish();
+    }
+    publisher.say("go");
+    publisher.expect("published");
+    assert_eq!(listener.end().fine(), "{\"count\":0}\n", "only the one of ours");
+    assert_eq!(foreign(), of(2, 1, 3));
+    let shown = bus.uorb(&["info", "stamped", "--window", "0"]).fine();
+    let lines = "\n  foreign    followers: 2\n  foreign    publishers: 1, messages dropped: 3\n";
+    assert!(shown.ends_with(lines), "{shown}");
+
+    drop((followers, publish));
+    eventually("they are gone", || foreign() == of(0, 0, 3));
+}
+
+#[test]
+fn info_says_where_the_messages_of_a_large_topic_live() {
+    let mut bus = Bus::start();
+    let _image = bus.advertise::<Image>();
+    let _follower = bus.subscribe::<Image>();
+
+    let large = info(&bus, "image");
+
+    assert_eq!(
+        (&large["is_large"], &large["instances"][0]["stream"]["depth_max"]),
+        (&true.into(), &2.into())
+    );
+    assert_eq!(large["instances"][0]["stream"]["followers"][0]["depth"], 1, "as deep as the node");
+    let shown = bus.uorb(&["info", "image", "--window", "0"]).fine();
+    let line = "its messages live on the stream: they are larger than the 65535 bytes of a node";
+    assert_eq!(shown.lines().nth(2), Some(line), "{shown}");
+    assert_eq!(info(&bus, "sensor_accel")["is_large"], false);
 }
 
 #[test]

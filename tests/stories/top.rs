@@ -11,7 +11,7 @@ use nix::sys::signal::Signal;
 use nix::sys::termios::tcgetattr;
 use serde_json::Value;
 use uorb_msg::{SensorAccel, SensorGyro};
-use uorb_tests::{Bus, PATIENCE, Plain, eventually, program};
+use uorb_tests::{Bus, Foreigner, PATIENCE, Plain, eventually, program};
 
 use crate::flight_logs::{FlightLog, logs};
 
@@ -130,14 +130,18 @@ fn one_update_is_px4s_table() {
     let table = bus.uorb(&["top", "-1"]).fine();
     let [title, head, row] = table.lines().collect::<Vec<_>>()[..] else { panic!("{table}") };
     assert!(title.starts_with("update: ") && title.ends_with("s, num topics: 4"), "{title}");
-    assert_eq!(head, "TOPIC NAME INST #SUB #MSG #LOST #QSIZE  SIZE    kB/s");
+    // A rate that PX4 never had makes its column wider.
+    let columns: Vec<&str> = head.split_whitespace().collect();
+    assert_eq!(columns.join(" "), "TOPIC NAME INST #SUB #MSG #LOST #QSIZE SIZE kB/s #STR");
+    assert_eq!(head.len(), row.len(), "{table}");
     let words: Vec<&str> = row.split_whitespace().collect();
-    let [topic, instance, subscriptions, messages, lost, queue, size, _kb] = words[..] else {
+    let [topic, instance, subscriptions, messages, lost, queue, size, _kb, streams] = words[..]
+    else {
         panic!("{row}")
     };
     assert_eq!(
-        [topic, instance, subscriptions, lost, queue, size],
-        ["stamped", "0", "0", "0", "4", "256"]
+        [topic, instance, subscriptions, lost, queue, size, streams],
+        ["stamped", "0", "0", "0", "4", "256", "0"]
     );
     assert!(messages.parse::<u64>().unwrap() > 0);
 
@@ -190,6 +194,40 @@ fn top_goes_on_until_ctrl_c_and_sees_topics_come_and_what_they_lose() {
     publication.publish(&Plain { value: 10 }).unwrap();
     while Update::next(&mut top).published("plain", 0) < 11 {}
     assert_eq!(top.interrupt().code, 0);
+}
+
+#[test]
+fn top_counts_those_who_follow_a_stream_and_what_they_lose() {
+    let bus = Bus::start();
+    let mut publisher = bus.spawn(&["publish", "100", "1"]);
+    publisher.expect("advertised");
+    let mut node_alone = bus.spawn(&["follow-name", "stamped"]);
+    node_alone.expect("subscribed");
+    let mut streamers =
+        ["16", "64"].map(|depth| bus.spawn_program(&program("streamer"), &["follow", depth]));
+    streamers.iter_mut().for_each(|streamer| streamer.expect("subscribed"));
+    let foreigner = Foreigner::open(&bus.system, "stamped");
+    let _follower = foreigner.follow();
+    let row = || {
+        let json = bus.uorb(&["top", "-1", "--json", "stamped"]).fine();
+        let update = Update(serde_json::from_str(&json).unwrap());
+        update.row("stamped", 0).unwrap().clone()
+    };
+    eventually("the foreign one is seen", || row()["stream_followers"] == 3);
+    assert_eq!((&row()["stream_depth"], &row()["stream_lost"]), (&64.into(), &0.into()));
+    assert_eq!(row()["subscribers"], 3, "of the bus");
+    let table = bus.uorb(&["top", "-1", "stamped"]).fine();
+    assert!(table.ends_with("    0.0    3\n"), "{table}");
+
+    let [slow, _] = &streamers;
+    slow.stop();
+    publisher.say("go");
+    publisher.expect("published");
+    slow.signal(Signal::SIGCONT);
+
+    eventually("the loss is counted", || row()["stream_lost"].as_u64() >= Some(84));
+    assert!(row()["lost"].as_u64() >= row()["stream_lost"].as_u64());
+    assert!(!row()["stream_depth"].is_null());
 }
 
 #[test]

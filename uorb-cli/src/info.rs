@@ -4,6 +4,7 @@
 //! taken from two looks at a node: so many messages between the publish times
 //! of the two newest messages that were seen.
 
+mod stream;
 mod text;
 
 use std::io::Write;
@@ -16,6 +17,7 @@ use serde::Serialize;
 use uorb_core::broker_side::{Node, NodeStatus, PeerInfo, Reply, Request, Role, Users};
 use uorb_core::{Error, FieldType, Instance, Layout, Metadata, Session, now_us};
 
+use self::stream::StreamInfo;
 use crate::completions::topic_names;
 use crate::context::Context;
 use crate::topics;
@@ -42,8 +44,15 @@ Examples:
   uorb info sensor_accel
   uorb info sensor_accel --window 5     a rate from more messages
   uorb info sensor_accel --json | jq '.instances[].publishers'
+  uorb info sensor_accel --json | jq '.instances[].stream.followers'
 
-A topic that was compiled in has fields before anybody uses it.";
+A topic that was compiled in has fields before anybody uses it.
+
+An instance's stream is an iceoryx2 service with every message. Its followers
+are subscribers that have a queue of their own there: how many messages it
+holds, how many they have still to receive (pending; more than it holds will be
+lost), and how many were lost. Foreign programs may follow it too; what they
+publish there is dropped. `uorb status` says in which world of iceoryx2 it is.";
 
 fn window(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -62,6 +71,8 @@ struct Info {
     /// PX4's, in hexadecimal digits; none where the .msg text is not known.
     message_hash: Option<String>,
     queue_length: u32,
+    /// Its messages are larger than a node takes: they live on the stream.
+    is_large: bool,
     fields: Vec<FieldRow>,
     instances: Vec<InstanceInfo>,
 }
@@ -90,6 +101,7 @@ struct InstanceInfo {
     last: Option<Last>,
     publishers: Vec<Publisher>,
     subscribers: Vec<Subscriber>,
+    stream: StreamInfo,
 }
 
 /// The newest message.
@@ -164,7 +176,9 @@ fn instances(
         let Reply::Users(users) = session.ask(Request::Users { topic, instance })? else {
             bail!("the broker did not say who uses {}", node.name());
         };
-        instances.push(InstanceInfo::new(instance, &before, &node.status(), &users, &peers));
+        let stream = StreamInfo::new(&context.system, node, &peers);
+        let now = node.status();
+        instances.push(InstanceInfo::new(instance, [&before, &now], &users, &peers, stream));
     }
     Ok(instances)
 }
@@ -182,6 +196,7 @@ impl Info {
             message_hash: (layout.message_hash != 0)
                 .then(|| format!("{:#010x}", layout.message_hash)),
             queue_length: metadata.queue_length.get(),
+            is_large: layout.is_large(),
             fields,
             instances,
         }
@@ -209,16 +224,12 @@ fn push_row(rows: &mut Vec<FieldRow>, name: String, ty: String, offset_bytes: u3
 impl InstanceInfo {
     fn new(
         instance: Instance,
-        before: &NodeStatus,
-        now: &NodeStatus,
+        [before, now]: [&NodeStatus; 2],
         users: &Users,
         peers: &[PeerInfo],
+        stream: StreamInfo,
     ) -> Self {
-        let process = |peer: u16| {
-            let known = peers.iter().find(|known| known.peer == peer);
-            let pid = known.map(|known| known.pid).filter(|pid| *pid != 0);
-            Process { peer, name: known.map(|known| known.name.clone()), pid }
-        };
+        let process = |peer| Process::of(peer, peers);
         let now_us = now_us();
         Self {
             instance: instance.number(),
@@ -246,7 +257,16 @@ impl InstanceInfo {
                     subscriptions: *subscriptions,
                 })
                 .collect(),
+            stream,
         }
+    }
+}
+
+impl Process {
+    fn of(peer: u16, peers: &[PeerInfo]) -> Self {
+        let known = peers.iter().find(|known| known.peer == peer);
+        let pid = known.map(|known| known.pid).filter(|pid| *pid != 0);
+        Self { peer, name: known.map(|known| known.name.clone()), pid }
     }
 }
 

@@ -3,15 +3,23 @@
 //! It is a subscription like any other: what it shows is what a module would
 //! have copied. It never gives up by itself; Ctrl-C, `--timeout`, a count, or
 //! the end of the system end it.
+//!
+//! What it copies is in the node, which keeps a few messages; with
+//! `--all-messages`, and for a large topic, it is on the stream.
+
+mod losses;
+mod newest;
 
 use std::io::{self, ErrorKind, Write};
 use std::os::fd::AsFd;
 use std::time::{Duration, Instant};
 
-use anyhow::bail;
 use clap_complete::ArgValueCandidates;
 use nix::poll::{PollFd, PollFlags, PollTimeout};
-use uorb_core::{Error, Instance, RawSubscription, Session};
+use uorb_core::{Copied, Instance, RawSubscription, Session, StreamOptions};
+
+use self::losses::Losses;
+use self::newest::{Newest, newest_of_each};
 
 use crate::completions::topic_names;
 use crate::context::Context;
@@ -51,6 +59,11 @@ pub(crate) struct Args {
     #[arg(short, long)]
     follow: bool,
 
+    /// Every message, with a deep queue on the stream; without a count, until
+    /// Ctrl-C
+    #[arg(long, conflicts_with = "rate")]
+    all_messages: bool,
+
     /// Give up when nothing came for so long (exit code 124)
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     timeout: Option<f64>,
@@ -89,6 +102,13 @@ Examples:
   uorb listener vehicle_attitude -f --json --field q,timestamp | jq .q
   uorb listener sensor_gyro 1000 --csv > gyro.csv
   uorb listener battery_status 1 --timeout 5 || echo no battery
+  uorb listener sensor_gyro --all-messages --csv > gyro.csv
+
+A subscription has as many messages as the node keeps, often one: a publisher
+that is faster than the listener overwrites the rest. With --all-messages it has
+a queue of its own on the topic's stream, of 1,024 messages or 16 MiB of them;
+what overruns even that is told on stderr as it happens. `uorb info` shows who
+follows a stream.
 
 In JSON every integer has all its digits, a float is the shortest that reads
 back the same, NaN and infinities are null. A program that is installed (or
@@ -123,7 +143,7 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     }
     let mut listener = Listener { args, interrupt: Interrupt::catch()?, printer, out };
     let ended = match args.number.or(args.count) {
-        None if args.follow || args.rate.is_some() => listener.show(&session, u64::MAX),
+        None if args.goes_on() => listener.show(&session, u64::MAX),
         None if args.instance.is_none() => listener.show_newest(&session, context),
         count => listener.show(&session, count.unwrap_or(1)),
     };
@@ -152,15 +172,28 @@ impl Listener<'_> {
         for instance in instances {
             subscriptions.push(RawSubscription::subscribe(session, topic, instance)?);
         }
-        if !subscriptions.iter_mut().any(|subscription| subscription.updated()) {
+        let mut newest = newest_of_each(&mut subscriptions)?;
+        if newest.is_empty() {
             self.say_that_we_wait();
+        }
+        while newest.is_empty() {
             let mut waiting: Vec<_> = subscriptions.iter_mut().collect();
             self.wait(&mut waiting)?;
+            newest = newest_of_each(&mut subscriptions)?;
         }
-        subscriptions.retain_mut(|subscription| subscription.updated());
-        let several = subscriptions.len() > 1;
-        for mut subscription in subscriptions {
-            self.show_messages(&mut subscription, 1, several)?;
+        let names_instance = newest.len() > 1;
+        for Newest { metadata, instance, bytes, copied, lost } in &newest {
+            let places = self.printer.places(&metadata.layout)?;
+            let message = Message {
+                topic,
+                instance: *instance,
+                names_instance,
+                number: 1,
+                bytes,
+                copied: *copied,
+                lost: *lost,
+            };
+            self.printer.print(self.out, &places, &message)?;
         }
         Ok(())
     }
@@ -168,14 +201,21 @@ impl Listener<'_> {
     /// Shows so many messages of one instance, and waits for them.
     fn show(&mut self, session: &Session, count: u64) -> anyhow::Result<()> {
         let instance = self.args.instance.unwrap_or(Instance::FIRST);
-        let mut subscription = RawSubscription::subscribe(session, &self.args.topic, instance)?;
+        let topic = &self.args.topic;
+        let mut subscription = match self.args.all_messages {
+            true => {
+                let deepest = StreamOptions::default();
+                RawSubscription::subscribe_stream(session, topic, instance, deepest)?
+            }
+            false => RawSubscription::subscribe(session, topic, instance)?,
+        };
         if let Some(rate_hz) = self.args.rate {
             subscription.set_interval(Duration::from_secs_f64(1.0 / rate_hz));
         }
         if !subscription.updated() {
             self.say_that_we_wait();
         }
-        let shown = self.show_messages(&mut subscription, count, self.args.instance.is_some());
+        let shown = self.show_messages(&mut subscription, count);
         if subscription.lost() > 0 {
             let lost = subscription.lost();
             say(format_args!("{lost} messages were overwritten before they could be copied"));
@@ -191,29 +231,35 @@ impl Listener<'_> {
         &mut self,
         subscription: &mut RawSubscription,
         count: u64,
-        names_instance: bool,
     ) -> anyhow::Result<()> {
         // The layout is known when there is something to copy, and not before.
         self.wait(&mut [subscription])?;
         let Some(metadata) = subscription.metadata().cloned() else { return Ok(()) };
         let metadata = topics::typed(metadata);
         let places = self.printer.places(&metadata.layout)?;
+        let mut losses = self.args.all_messages.then(Losses::default);
         let mut bytes = Vec::new();
         for number in 1..=count {
-            self.wait(&mut [subscription])?;
-            let copied = subscription.copy(&mut bytes).then(|| subscription.last_copied());
-            let Some(copied) = copied.flatten() else {
-                let path = format!("/obj/{}{}", metadata.name, subscription.instance()).into();
-                bail!(Error::CorruptNode { path, what: "its ring contradicts itself".into() });
+            let copied = loop {
+                self.wait(&mut [subscription])?;
+                if let Some(copied) = take(subscription, &mut bytes) {
+                    break copied;
+                }
             };
+            let lost = subscription.lost();
+            if let Some(losses) = &mut losses
+                && let Some(more) = losses.worth_saying(lost, Instant::now())
+            {
+                say(format_args!("messages lost before #{number}: {more}"));
+            }
             let message = Message {
                 topic: &metadata.name,
                 instance: subscription.instance(),
-                names_instance,
+                names_instance: self.args.instance.is_some(),
                 number,
                 bytes: &bytes,
                 copied,
-                lost: subscription.lost(),
+                lost,
             };
             self.printer.print(self.out, &places, &message)?;
         }
@@ -256,7 +302,22 @@ impl Listener<'_> {
     }
 }
 
+/// Copies the next message. None: what was new on a stream is lost, or is still
+/// on its way, and `copy` gives the last message again.
+fn take(subscription: &mut RawSubscription, bytes: &mut Vec<u8>) -> Option<Copied> {
+    let before = subscription.last_copied();
+    if !subscription.copy(bytes) {
+        return None;
+    }
+    subscription.last_copied().filter(|copied| Some(*copied) != before)
+}
+
 impl Args {
+    /// Whether it ends by Ctrl-C, where no count is given.
+    fn goes_on(&self) -> bool {
+        self.follow || self.rate.is_some() || self.all_messages
+    }
+
     fn style(&self) -> Style {
         let format = match (self.json, self.csv) {
             (true, _) => Format::Json,

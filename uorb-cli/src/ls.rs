@@ -38,9 +38,7 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     if !system.nodes().exists() {
         bail!(Error::NoBroker { path: system.socket() });
     }
-    if args.long {
-        writeln!(out, " SIZE  #Q #PUB #SUB       #MSG NODE")?;
-    }
+    let mut rows = Vec::new();
     for (topic, instance) in system.list_nodes()? {
         if !args.long {
             writeln!(out, "{topic}{instance}")?;
@@ -52,11 +50,18 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
             Err(Error::NoNode { .. }) => continue,
             Err(error) => return Err(error.into()),
         };
-        let status = node.status();
+        rows.push((node.name(), node.identity.metadata.layout.size_bytes, node.status()));
+    }
+    if !args.long {
+        return Ok(());
+    }
+    // As wide as the largest message needs it.
+    let width = rows.iter().map(|(_, size, _)| size.to_string().len()).max().unwrap_or(0).max(5);
+    writeln!(out, "{:>width$}  #Q #PUB #SUB       #MSG NODE", "SIZE")?;
+    for (name, size_bytes, status) in rows {
         writeln!(
             out,
-            "{:5} {:3} {:4} {:4} {:10} {topic}{instance}",
-            node.identity.metadata.layout.size_bytes,
+            "{size_bytes:width$} {:3} {:4} {:4} {:10} {name}",
             status.queue_length.map_or(0, |length| length.get()),
             status.publishers.len(),
             status.subscribers,

@@ -1,5 +1,8 @@
 //! `uorb status`: how the broker is, the nodes, and what was lost.
 
+mod text;
+
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::Write;
 
@@ -29,15 +32,20 @@ const EXAMPLES: &str = "\
 Examples:
   uorb status
   uorb status --json | jq .broker.pid
+  uorb status --json | jq .streams      # for a foreign program's configuration
 
 The table is PX4's: instance, subscriptions, queue length, size of a message in
 bytes, and the node. Lost messages are those that were overwritten before a
-subscription had copied them, since the system was started.";
+subscription had copied them, since the system was started.
+
+The streams are in a world of iceoryx2: whoever uses its prefix and its root can
+follow them.";
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
 struct Status<'s> {
     broker: Broker<'s>,
+    streams: Streams<'s>,
     peers: Vec<Peer<'s>>,
     nodes: Vec<NodeRow>,
 }
@@ -53,6 +61,15 @@ struct Broker<'s> {
     topics: u32,
     nodes: u32,
     advertised: u32,
+}
+
+/// The world of iceoryx2 in which the streams are.
+#[derive(Debug, Serialize)]
+struct Streams<'s> {
+    prefix: &'s str,
+    root: Cow<'s, str>,
+    /// Why there are none, where that is so.
+    none_because: Option<&'s str>,
 }
 
 #[derive(Debug, Serialize)]
@@ -118,6 +135,7 @@ fn show(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<(
     peers.retain(|peer| peer.peer != session.peer());
     let status = Status {
         broker: Broker::new(&broker, &context.system),
+        streams: Streams::new(&broker),
         peers: peers.iter().map(Peer::new).collect(),
         nodes: nodes(&context.system)?,
     };
@@ -125,56 +143,7 @@ fn show(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<(
         writeln!(out, "{}", serde_json::to_string(&status)?)?;
         return Ok(());
     }
-    print(&status, args.all, out)
-}
-
-fn print(status: &Status<'_>, all: bool, out: &mut dyn Write) -> anyhow::Result<()> {
-    let Status { broker, peers, nodes } = status;
-    writeln!(
-        out,
-        "uorbd {}, pid {}, up {}, at {}",
-        broker.version,
-        broker.pid,
-        duration(broker.uptime_us),
-        broker.directory
-    )?;
-    writeln!(
-        out,
-        "processes: {}, topics: {}, nodes: {}, advertised: {}",
-        peers.len(),
-        broker.topics,
-        broker.nodes,
-        broker.advertised
-    )?;
-    writeln!(out)?;
-    let shown: Vec<&NodeRow> = nodes.iter().filter(|node| all || node.advertised).collect();
-    if shown.is_empty() {
-        writeln!(out, "No topics advertised")?;
-    } else {
-        // PX4's table, 2021 and later.
-        let width = shown.iter().map(|node| node.topic.len()).max().unwrap_or(0).max(10);
-        writeln!(out, "{:<1$} INST #SUB #Q SIZE PATH", "TOPIC NAME", width - 2)?;
-        for node in shown {
-            let NodeRow { topic, instance, subscribers, queue_length, size_bytes, path, .. } = node;
-            writeln!(
-                out,
-                "{topic:<width$} {instance:2} {subscribers:4} {queue_length:2} {size_bytes:4} \
-                 {path}",
-            )?;
-        }
-    }
-    writeln!(out)?;
-    // The seeds' status: what was lost, or that nothing was.
-    let losers: Vec<&NodeRow> = nodes.iter().filter(|node| node.lost > 0).collect();
-    if losers.is_empty() {
-        writeln!(out, "No lost messages")?;
-    } else {
-        writeln!(out, "TOPIC, NR LOST MSGS")?;
-    }
-    for node in losers {
-        writeln!(out, "{}{}: {}", node.topic, node.instance, node.lost)?;
-    }
-    Ok(())
+    text::print(&status, args.all, out)
 }
 
 fn nodes(system: &System) -> Result<Vec<NodeRow>, Error> {
@@ -227,6 +196,17 @@ impl<'s> Broker<'s> {
     }
 }
 
+impl<'s> Streams<'s> {
+    fn new(BrokerStatus { world, no_streams, .. }: &'s BrokerStatus) -> Self {
+        Self {
+            prefix: &world.prefix,
+            // The default world's ends in a slash, which others do without.
+            root: world.root.components().as_path().to_string_lossy(),
+            none_because: no_streams.as_deref(),
+        }
+    }
+}
+
 impl<'s> Peer<'s> {
     fn new(info: &'s PeerInfo) -> Self {
         let PeerInfo { peer, pid, name, connected, publications, subscriptions } = info;
@@ -238,88 +218,5 @@ impl<'s> Peer<'s> {
             publications: *publications,
             subscriptions: *subscriptions,
         }
-    }
-}
-
-/// A duration in the two largest units that it has: `3 d 4 h`, `12 s`.
-fn duration(time_us: u64) -> String {
-    let seconds = time_us / 1_000_000;
-    let (minutes, hours, days) = (seconds / 60, seconds / 3_600, seconds / 86_400);
-    match (days, hours, minutes) {
-        (0, 0, 0) => format!("{seconds} s"),
-        (0, 0, _) => format!("{minutes} min {} s", seconds % 60),
-        (0, ..) => format!("{hours} h {} min", minutes % 60),
-        _ => format!("{days} d {} h", hours % 24),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn node(topic: &str, instance: u8, lost: u64) -> NodeRow {
-        NodeRow {
-            topic: topic.into(),
-            instance,
-            advertised: true,
-            publishers: 1,
-            subscribers: 3,
-            queue_length: 1,
-            size_bytes: 48,
-            published: 1_000,
-            lost,
-            path: format!("/obj/{topic}{instance}"),
-        }
-    }
-
-    fn status(nodes: Vec<NodeRow>) -> Status<'static> {
-        Status {
-            broker: Broker {
-                version: "0.1.0",
-                pid: 4711,
-                uptime_us: 3_725_000_000,
-                directory: "/dev/shm/uorb-1000/0".into(),
-                system_id: "0123456789abcdef".into(),
-                topics: 2,
-                nodes: 2,
-                advertised: 2,
-            },
-            peers: Vec::new(),
-            nodes,
-        }
-    }
-
-    fn printed(status: &Status<'_>) -> String {
-        let mut out = Vec::new();
-        print(status, false, &mut out).unwrap();
-        String::from_utf8(out).unwrap()
-    }
-
-    #[test]
-    fn the_table_is_px4s() {
-        let mut gone = node("sensor_gyro", 0, 1);
-        gone.advertised = false;
-        let status = status(vec![node("sensor_mag", 0, 20), gone, node("vehicle_attitude", 1, 0)]);
-        assert_eq!(
-            printed(&status),
-            "\
-uorbd 0.1.0, pid 4711, up 1 h 2 min, at /dev/shm/uorb-1000/0
-processes: 0, topics: 2, nodes: 2, advertised: 2
-
-TOPIC NAME     INST #SUB #Q SIZE PATH
-sensor_mag        0    3  1   48 /obj/sensor_mag0
-vehicle_attitude  1    3  1   48 /obj/vehicle_attitude1
-
-TOPIC, NR LOST MSGS
-sensor_mag0: 20
-sensor_gyro0: 1
-"
-        );
-    }
-
-    #[test]
-    fn a_quiet_bus_says_so() {
-        let printed = printed(&status(Vec::new()));
-        assert!(printed.ends_with("\nNo topics advertised\n\nNo lost messages\n"), "{printed}");
     }
 }

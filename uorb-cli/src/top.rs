@@ -63,6 +63,9 @@ Columns, all of the last update, which is one second:
   #QSIZE  messages that the node keeps, 0 before its first publisher
   SIZE    bytes of a message
   kB/s    thousands of bytes that were published
+  #STR    those who follow the stream, with a queue of their own there: some of
+          the subscriptions (of a large topic all), and foreign programs; what
+          they lose is in #LOST
 
 On a terminal, -1 and --json apart, it is a live view:
   q, Esc, Ctrl-C        quit

@@ -2,6 +2,8 @@
 
 use std::io::Write;
 
+use uorb_core::NODE_MESSAGE_MAX_BYTES;
+
 use super::{FieldRow, Info, InstanceInfo, Process, Publisher, Subscriber};
 
 pub(super) fn print(info: &Info, out: &mut dyn Write) -> anyhow::Result<()> {
@@ -12,6 +14,13 @@ pub(super) fn print(info: &Info, out: &mut dyn Write) -> anyhow::Result<()> {
         "message {}, {} bytes ({} without padding), hash {hash}, queue length {}",
         info.message, info.size_bytes, info.size_no_padding_bytes, info.queue_length
     )?;
+    if info.is_large {
+        writeln!(
+            out,
+            "its messages live on the stream: they are larger than the {NODE_MESSAGE_MAX_BYTES} \
+             bytes of a node"
+        )?;
+    }
     writeln!(out)?;
     print_fields(info, out)?;
     writeln!(out)?;
@@ -68,6 +77,7 @@ fn print_instance(instance: &InstanceInfo, out: &mut dyn Write) -> anyhow::Resul
             several => writeln!(out, "  subscriber {process}, {several} subscriptions")?,
         }
     }
+    instance.stream.print(out)?;
     Ok(())
 }
 
@@ -86,6 +96,7 @@ mod tests {
     use uorb_core::Metadata;
 
     use super::super::Last;
+    use super::super::stream::tests::quiet;
     use super::*;
     use crate::fields::samples;
 
@@ -122,6 +133,7 @@ mod tests {
                 Subscriber { process: process("sensors", 4712), subscriptions: 1 },
                 Subscriber { process: process("logger", 4713), subscriptions: 2 },
             ],
+            stream: quiet(),
         });
         let mut out = Vec::new();
         print(&info, &mut out).unwrap();
@@ -146,6 +158,7 @@ instance 0: advertised, priority 100, queue length 1, published 1234, lost 5, 25
   publisher  sensor_sim (pid 4711), priority 100
   subscriber sensors (pid 4712)
   subscriber logger (pid 4713), 2 subscriptions
+  stream     uorb/0/one_of_each/0, queues of up to 1024 messages
 ",
                 info.size_bytes,
                 info.message_hash.as_deref().unwrap(),

@@ -8,7 +8,7 @@ use ratatui::widgets::{Cell, Row as TableRow, Table};
 
 use super::model::{Column, Row};
 use super::screen::View;
-use super::text::{NUMBERS, WIDTHS, name_width, numbers, title};
+use super::text::{NUMBERS, name_width, numbers, title, widths};
 
 const HEAD: Style = Style::new().add_modifier(Modifier::REVERSED);
 const SORTED: Style = Style::new().add_modifier(Modifier::BOLD);
@@ -58,7 +58,7 @@ fn rows(view: &View) -> Table<'static> {
     let seen = view.update.topics.iter().skip(view.scrolled).take(view.page).map(row);
     let name_width = Constraint::Length(name_width(view.all_rows()) as u16);
     // Each with the blank before it, and room for the mark.
-    let widths = WIDTHS.map(|width| Constraint::Length(width as u16));
+    let widths = widths(view.all_rows()).map(|width| Constraint::Length(width as u16));
     Table::new(seen, std::iter::once(name_width).chain(widths))
         .header(TableRow::new(name.chain(number)).style(HEAD))
         .column_spacing(0)
@@ -123,11 +123,11 @@ mod tests {
             drawn(&mut view(), 80, 7),
             "\
 update: 1s, num topics: 4   1700 msg/s, 81.6 kB/s
-▼TOPIC NAME          INST #SUB #MSG #LOST #QSIZE  SIZE    kB/s
-sensor_accel            0    3  250     0      1    48    12.0
-sensor_accel            1    0  250    12      1    48    12.0
-vehicle_acceleration    0    1 1000     0      1    48    48.0
-vehicle_imu             0    1  200     0      1    48     9.6
+▼TOPIC NAME          INST #SUB #MSG #LOST #QSIZE  SIZE    kB/s #STR
+sensor_accel            0    3  250     0      1    48    12.0    0
+sensor_accel            1    0  250    12      1    48    12.0    0
+vehicle_acceleration    0    1 1000     0      1    48    48.0    0
+vehicle_imu             0    1  200     0      1    48     9.6    0
 q quit  n r l s sort  a all  / filter  arrows, PgUp, PgDn scroll
 "
         );
@@ -141,16 +141,16 @@ q quit  n r l s sort  a all  / filter  arrows, PgUp, PgDn scroll
             view.press(ratatui::crossterm::event::KeyCode::Char(key).into());
         }
         assert_eq!(
-            drawn(&mut view, 64, 4),
+            drawn(&mut view, 69, 4),
             "\
 update: 1s, num topics: 2   1200 msg/s, 57.6 kB/s
-TOPIC NAME           INST #SUB▼#MSG #LOST #QSIZE  SIZE    kB/s
-vehicle_acceleration    0    1 1000     0      1    48    48.0
+TOPIC NAME           INST #SUB▼#MSG #LOST #QSIZE  SIZE    kB/s #STR
+vehicle_acceleration    0    1 1000     0      1    48    48.0    0
 /eh█  Enter: keep, Esc: drop
 "
         );
         // The name keeps the room that the longest of all names needs.
-        assert!(drawn(&mut view, 64, 4).contains("NAME           INST"));
+        assert!(drawn(&mut view, 69, 4).contains("NAME           INST"));
         // Neither a tiny one nor none at all is a reason to panic.
         for (width, height) in [(10, 3), (1, 1), (0, 0)] {
             drawn(&mut view, width, height);

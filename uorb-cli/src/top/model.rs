@@ -27,6 +27,23 @@ pub(super) struct Seen {
     /// 0 before the first publisher.
     pub(super) queue_length: u32,
     pub(super) size_bytes: u32,
+    pub(super) stream: Stream,
+}
+
+/// What was seen of a node's stream. JSON's members begin with `stream_`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub(super) struct Stream {
+    /// Who follows it, foreign programs included.
+    #[serde(rename = "stream_followers")]
+    pub(super) followers: u64,
+    /// How many messages the deepest of their queues holds; 0 where there is
+    /// none, and of foreign programs nobody knows.
+    #[serde(rename = "stream_depth")]
+    pub(super) depth: u32,
+    /// Messages that those who follow it now have lost: part of what the node's
+    /// subscriptions have lost.
+    #[serde(rename = "stream_lost")]
+    pub(super) lost: u64,
 }
 
 /// One look at all nodes.
@@ -67,6 +84,8 @@ pub(super) struct Row {
     /// Messages lost since the node was made.
     pub(super) lost: u64,
     pub(super) advertised: bool,
+    #[serde(flatten)]
+    pub(super) stream: Stream,
 }
 
 /// What happened between two looks, node by node.
@@ -106,6 +125,7 @@ impl Update {
                     published: now.published,
                     lost: now.lost,
                     advertised: now.publishers > 0,
+                    stream: now.stream,
                 }
             })
             .collect();
@@ -180,6 +200,7 @@ pub(super) mod tests {
             subscribers: 2,
             queue_length: 4,
             size_bytes: 48,
+            stream: Stream { followers: 3, depth: 1_024, lost: 5 },
         }
     }
 
@@ -207,6 +228,7 @@ pub(super) mod tests {
                     published: 1_000,
                     lost: 0,
                     advertised: true,
+                    stream: Stream::default(),
                 }
             };
         described.iter().map(row).collect()
@@ -218,9 +240,10 @@ pub(super) mod tests {
         let after = look(2_500_000, &[("a", 0, seen(2_500_100, 1_375, 10))]);
         let update = Update::between(&before, &after);
         assert_eq!((update.dt_s, update.num_topics), (1.5, 1));
-        let Row { rate_hz, lost_per_s, kb_per_s, published, lost, advertised, .. } =
+        let Row { rate_hz, lost_per_s, kb_per_s, published, lost, advertised, stream, .. } =
             update.topics[0];
         assert_eq!((rate_hz, lost_per_s, kb_per_s), (250.0, 2.0, 12.0));
+        assert_eq!(stream, Stream { followers: 3, depth: 1_024, lost: 5 });
         assert_eq!((published, lost, advertised), (1_375, 10, true));
     }
 

@@ -10,7 +10,7 @@ use nix::sys::resource::{Resource, getrlimit, setrlimit};
 use uorb_core::broker_side::{Node, NodeStatus, Role};
 use uorb_core::{Error, Instance, System, now_us};
 
-use super::model::{Look, Name, Seen};
+use super::model::{Look, Name, Seen, Stream};
 
 #[derive(Debug)]
 pub(super) struct Nodes {
@@ -84,6 +84,16 @@ impl Open {
             subscribers,
             queue_length: queue_length.map_or(0, |length| length.get()),
             size_bytes: self.node.identity.metadata.layout.size_bytes,
+            stream: self.stream(),
+        }
+    }
+
+    fn stream(&self) -> Stream {
+        let ours = self.node.streams();
+        Stream {
+            followers: ours.len() as u64 + self.node.foreigners().subscribers,
+            depth: ours.iter().map(|stream| stream.entry.depth).max().unwrap_or(0),
+            lost: ours.iter().map(|stream| stream.lost).sum(),
         }
     }
 }

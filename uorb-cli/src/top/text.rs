@@ -1,18 +1,29 @@
-//! An update as text: PX4's table of 2016 to 2019, with two columns more.
+//! An update as text: PX4's table of 2016 to 2019, with three columns more.
 
 use std::io::{self, Write};
 
 use super::model::{Row, Update};
 
 /// The columns behind the name, as the table and the screen head them.
-pub(super) const NUMBERS: [&str; 7] = ["INST", "#SUB", "#MSG", "#LOST", "#QSIZE", "SIZE", "kB/s"];
+pub(super) const NUMBERS: [&str; COLUMNS] =
+    ["INST", "#SUB", "#MSG", "#LOST", "#QSIZE", "SIZE", "kB/s", "#STR"];
 
-/// How wide they are, with the blank before. As in PX4, the first reaches two
-/// letters into the name.
-pub(super) const WIDTHS: [usize; 7] = [5, 5, 5, 6, 7, 6, 8];
+const COLUMNS: usize = 8;
+
+/// How wide they are at least, with the blank before. As in PX4, the first
+/// reaches two letters into the name.
+const WIDTHS: [usize; COLUMNS] = [5, 5, 5, 6, 7, 6, 8, 5];
+
+/// How wide the columns of these rows are: a large topic needs more room than
+/// PX4 had to give.
+pub(super) fn widths(rows: &[Row]) -> [usize; COLUMNS] {
+    rows.iter().map(numbers).fold(WIDTHS, |widths, numbers| {
+        std::array::from_fn(|column| widths[column].max(numbers[column].len() + 1))
+    })
+}
 
 /// What stands in them.
-pub(super) fn numbers(row: &Row) -> [String; 7] {
+pub(super) fn numbers(row: &Row) -> [String; COLUMNS] {
     [
         row.instance.to_string(),
         row.subscribers.to_string(),
@@ -21,6 +32,7 @@ pub(super) fn numbers(row: &Row) -> [String; 7] {
         row.queue_length.to_string(),
         row.size_bytes.to_string(),
         format!("{:.1}", row.kb_per_s),
+        row.stream.followers.to_string(),
     ]
 }
 
@@ -37,10 +49,11 @@ pub(super) fn name_width(rows: &[Row]) -> usize {
 pub(super) fn print(update: &Update, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "{}", title(update))?;
     let name_width = name_width(&update.topics) - 2;
-    let line = |out: &mut dyn Write, name: &str, numbers: [&str; 7]| {
+    let widths = widths(&update.topics);
+    let line = |out: &mut dyn Write, name: &str, numbers: [&str; COLUMNS]| {
         write!(out, "{name:<name_width$}")?;
         let mut over = name.len().saturating_sub(name_width);
-        for (number, width) in numbers.iter().zip(WIDTHS) {
+        for (number, width) in numbers.iter().zip(widths) {
             write!(out, " {number:>0$}", width - 1 - over)?;
             over = 0;
         }
@@ -71,10 +84,28 @@ mod tests {
             String::from_utf8(out).unwrap(),
             "\
 update: 1s, num topics: 77
-TOPIC NAME         INST #SUB #MSG #LOST #QSIZE  SIZE    kB/s
-sensor_accel          0    3  250     0      1    48    12.0
-sensor_accel          1    0  250    12      1    48    12.0
-vehicle_acceleration  0    1 1000     0      1    48    48.0
+TOPIC NAME         INST #SUB #MSG #LOST #QSIZE  SIZE    kB/s #STR
+sensor_accel          0    3  250     0      1    48    12.0    0
+sensor_accel          1    0  250    12      1    48    12.0    0
+vehicle_acceleration  0    1 1000     0      1    48    48.0    0
+"
+        );
+    }
+
+    #[test]
+    fn the_numbers_of_a_large_topic_have_room() {
+        let mut topics = rows(&[("camera", 0, 1, 30.0, 0.0), ("orb_test", 0, 1, 30.0, 0.0)]);
+        (topics[0].size_bytes, topics[0].kb_per_s) = (268_435_456, 8_053_063.7);
+        topics[0].stream.followers = 2;
+        let mut out = Vec::new();
+        print(&Update { dt_s: 1.0, num_topics: 2, topics }, &mut out).unwrap();
+        assert_eq!(
+            String::from_utf8(out).unwrap(),
+            "\
+update: 1s, num topics: 2
+TOPIC NAME INST #SUB #MSG #LOST #QSIZE      SIZE      kB/s #STR
+camera        0    1   30     0      1 268435456 8053063.7    2
+orb_test      0    1   30     0      1        48       1.4    0
 "
         );
     }
@@ -85,7 +116,8 @@ vehicle_acceleration  0    1 1000     0      1    48    48.0
         print(&Update { dt_s: 1.0, num_topics: 0, topics: Vec::new() }, &mut out).unwrap();
         assert_eq!(
             String::from_utf8(out).unwrap(),
-            "update: 1s, num topics: 0\nTOPIC NAME INST #SUB #MSG #LOST #QSIZE  SIZE    kB/s\n"
+            "update: 1s, num topics: 0\n\
+             TOPIC NAME INST #SUB #MSG #LOST #QSIZE  SIZE    kB/s #STR\n"
         );
     }
 }

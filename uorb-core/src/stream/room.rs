@@ -23,7 +23,7 @@ pub(crate) fn check_room(name: &str, needed_bytes: u64) -> Result<(), Error> {
     let needed_bytes = needed_bytes + OVERHEAD_BYTES;
     let free_bytes = statvfs(SHM)
         .map_err(|errno| Error::io("look at", SHM.as_ref(), errno.into()))
-        .map(|room| room.blocks_available() as u64 * room.fragment_size() as u64)?;
+        .map(|room| room.blocks_available() * room.fragment_size())?;
     if free_bytes < needed_bytes {
         return Err(no_room(name, needed_bytes));
     }
