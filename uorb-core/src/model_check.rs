@@ -11,7 +11,7 @@ use loom::sync::{Arc, Condvar, Mutex};
 use loom::thread;
 
 use crate::bell;
-use crate::ring::{Geometry, Ring, Unsent, Writer};
+use crate::ring::{Geometry, Ring, Writer};
 use crate::sync::{AtomicU64, Ordering};
 
 const BASE: u64 = 1 << 32;
@@ -202,55 +202,6 @@ fn no_wake_is_lost_between_two_publishers_and_one_sleeper() {
             .collect();
         node.sleep(BASE + 1);
         publishers.into_iter().for_each(|publisher| _ = publisher.join().unwrap());
-    });
-}
-
-#[test]
-fn a_message_is_in_the_node_or_in_its_slot_or_was_sent() {
-    loom::model(|| {
-        let node = Node::new(1, 2);
-        let sent: Arc<[AtomicU64; 6]> = Arc::new(std::array::from_fn(|_| AtomicU64::new(0)));
-        let publish = |node: &Node, sent: &[AtomicU64; 6], writer: &mut Writer, value: u64| {
-            let mut message = [0; 16];
-            message[..8].copy_from_slice(&value.to_ne_bytes());
-            message[8..].copy_from_slice(&(!value).to_ne_bytes());
-            let ring = node.ring();
-            let held = ring.publish_unsent(writer, 0, &message).expect("there are slots enough");
-            // What `unsent` says of it must be enough to see this.
-            sent[(held.generation - BASE) as usize].store(1, Ordering::Relaxed);
-            held.sent();
-        };
-        let slow = {
-            let (node, sent) = (node.clone(), sent.clone());
-            thread::spawn(move || publish(&node, &sent, &mut Writer::new(1, 0), 1))
-        };
-        // Once around the ring.
-        let fast = {
-            let (node, sent) = (node.clone(), sent.clone());
-            thread::spawn(move || {
-                let mut writer = Writer::new(2, 0);
-                (2..6).for_each(|value| publish(&node, &sent, &mut writer, value));
-            })
-        };
-        let ring = node.ring();
-        if ring.newest(BASE) > BASE {
-            let mut message = [MaybeUninit::new(0); 16];
-            let named = ring.read_exactly(BASE + 1, &mut message).expect("nobody breaks the rules");
-            let unsent = named.is_none().then(|| ring.unsent(BASE + 1, &mut message));
-            match unsent {
-                None | Some(Unsent::Read(_)) => {
-                    // SAFETY: all of it was initialised before.
-                    let message = message.map(|byte| unsafe { byte.assume_init() });
-                    let [value, check] =
-                        [0, 8].map(|at| u64::from_ne_bytes(*message[at..].first_chunk().unwrap()));
-                    assert_eq!(check, !value, "torn");
-                }
-                Some(Unsent::Over) => assert_eq!(sent[1].load(Ordering::Relaxed), 1, "not sent"),
-                Some(Unsent::Unknown) => {}
-            }
-        }
-        slow.join().unwrap();
-        fast.join().unwrap();
     });
 }
 

@@ -31,6 +31,7 @@ mod unsent;
 use crate::sync::{AtomicU64, Ordering, fence};
 use std::mem::MaybeUninit;
 
+#[cfg(not(loom))]
 pub(crate) use unsent::Unsent;
 
 /// How many publishers a node admits: each may hold one slot at any time.
