@@ -36,7 +36,7 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     }
     let system = &context.system;
     if !system.nodes().exists() {
-        bail!(Error::NoBroker { path: system.socket() });
+        bail!(system.no_broker());
     }
     if args.long {
         writeln!(out, " SIZE  #Q #PUB #SUB       #MSG NODE")?;

@@ -73,11 +73,9 @@ On a terminal, -1 and --json apart, it is a live view:
 
 pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut nodes = Nodes::new(&context.system);
-    let is_there = |nodes: &Nodes| match nodes.exist() {
-        true => Ok(()),
-        false => Err(Error::NoBroker { path: context.system.socket() }),
-    };
-    is_there(&nodes)?;
+    if !nodes.exist() {
+        bail!(context.system.no_broker());
+    }
     let selection = Selection { all: args.all, filters: args.filters.clone() };
     if !args.once && !args.json && std::io::stdout().is_terminal() {
         return screen::show(&mut nodes, selection);
@@ -92,7 +90,9 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
             // That is how one ends it, where it does not end by itself.
             return if args.once { bail!(Early::Interrupted) } else { Ok(()) };
         }
-        is_there(&nodes)?;
+        if !nodes.exist() {
+            bail!(Error::Ended { path: context.system.dir() });
+        }
         let after = nodes.look()?;
         let update = Update::between(&before, &after).select(&selection);
         if args.json {

@@ -30,7 +30,8 @@ use nix::fcntl::{FcntlArg, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use nix::sys::signal::{SigSet, SigmaskHow, pthread_sigmask};
-use nix::sys::socket::{Shutdown, shutdown};
+use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt};
+use nix::unistd::geteuid;
 
 use crate::error::Error;
 use crate::node::{Node, Role};
@@ -527,7 +528,7 @@ fn connect_patiently(system: &System) -> Result<OwnedFd, Error> {
     let deadline = Instant::now() + ANSWER_TIMEOUT;
     loop {
         match connect_to_broker(system) {
-            Ok(socket) => return Ok(socket),
+            Ok(socket) => return refuse_other_users(system, socket),
             Err(error) if error.kind() != io::ErrorKind::WouldBlock => {
                 return Err(no_broker(system, error));
             }
@@ -536,6 +537,20 @@ fn connect_patiently(system: &System) -> Result<OwnedFd, Error> {
             Err(_) => thread::sleep(RETRY_FROM),
         }
     }
+}
+
+/// A broker takes processes of its own user and of root. The others are told why
+/// here: it just hangs up on them.
+fn refuse_other_users(system: &System, socket: OwnedFd) -> Result<OwnedFd, Error> {
+    let path = system.socket();
+    let us = geteuid();
+    let owner = getsockopt(&socket, sockopt::PeerCredentials)
+        .map_err(|errno| Error::io("look at", &path, errno.into()))?
+        .uid();
+    if owner == us.as_raw() || us.is_root() {
+        return Ok(socket);
+    }
+    Err(Error::OtherUser { path, owner, us: us.as_raw() })
 }
 
 /// One request and its answer on a connection that nobody else uses yet. The
@@ -566,7 +581,7 @@ fn exchange(
             Some(FromBroker::Reply { reply, .. }) => return Ok(reply),
             Some(FromBroker::Ended) => return Err(Refusal::OtherSystem.into()),
             Some(word) => hear(word),
-            None => return Err(Error::NoBroker { path: system.socket() }),
+            None => return Err(system.no_broker()),
         }
     }
 }
@@ -646,14 +661,13 @@ fn no_answer(system: &System) -> Error {
 
 #[cold]
 fn no_broker(system: &System, error: io::Error) -> Error {
-    let path = system.socket();
     match error.kind() {
         io::ErrorKind::NotFound
         | io::ErrorKind::ConnectionRefused
         | io::ErrorKind::ConnectionReset
-        | io::ErrorKind::BrokenPipe => Error::NoBroker { path },
+        | io::ErrorKind::BrokenPipe => system.no_broker(),
         io::ErrorKind::WouldBlock => no_answer(system),
-        _ => Error::io("speak to", &path, error),
+        _ => system.other_user().unwrap_or_else(|| Error::io("speak to", &system.socket(), error)),
     }
 }
 

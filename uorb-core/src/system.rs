@@ -7,6 +7,7 @@
 
 use std::env;
 use std::fmt;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
@@ -84,6 +85,22 @@ impl System {
     /// The file that the running broker holds locked.
     pub fn lock(&self) -> PathBuf {
         self.dir().join("broker.lock")
+    }
+
+    /// Why nobody answers here: no broker runs, or it is not for us.
+    #[doc(hidden)]
+    pub fn no_broker(&self) -> Error {
+        self.other_user().unwrap_or_else(|| Error::NoBroker { path: self.socket() })
+    }
+
+    /// That the system belongs to another user, if it does.
+    pub(crate) fn other_user(&self) -> Option<Error> {
+        // What is in another user's directory may be hidden, the directory is not.
+        let seen = [self.dir(), self.base.clone()].into_iter();
+        let (owner, path) =
+            seen.flat_map(|path| Some((path.metadata().ok()?.uid(), path))).next()?;
+        let us = nix::unistd::geteuid().as_raw();
+        (owner != us).then_some(Error::OtherUser { path, owner, us })
     }
 
     /// The broker's log.

@@ -15,7 +15,7 @@ use anyhow::{Context, bail};
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
 use uorb_core::broker_side::{Ending, NODE_FILE_VERSION, Node, Role, boot_id};
-use uorb_core::{System, World};
+use uorb_core::{Error, System, World};
 
 /// What a broker that starts has found.
 pub(crate) enum Found {
@@ -117,10 +117,7 @@ fn make_ours(dir: &Path) -> anyhow::Result<()> {
         fs::metadata(dir).with_context(|| format!("cannot look at {}", dir.display()))?.uid();
     let us = nix::unistd::geteuid().as_raw();
     if owner != us {
-        bail!(
-            "{} belongs to user {owner}, not to {us}: set UORB_DIR to a directory of your own",
-            dir.display(),
-        );
+        bail!(Error::OtherUser { path: dir.into(), owner, us });
     }
     Ok(())
 }
