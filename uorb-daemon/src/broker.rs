@@ -186,6 +186,10 @@ impl Broker {
                 Err(errno) => return Err(errno).context("cannot wait for events"),
             };
             for event in &events[..count] {
+                // What else has happened does not matter once it has ended.
+                if self.ended {
+                    break;
+                }
                 self.handle(Event::from_token(event.data()))?;
             }
         }
