@@ -16,12 +16,13 @@ use uorb_core::{
     Publication, QueueLength, RawPublication, RawSubscription, Session, StreamSubscription,
     Subscription, System, poll, topic,
 };
-use uorb_tests::{PATIENCE, Plain, Stamped, program};
+use uorb_tests::{PATIENCE, Plain, Stamped, program, raise_descriptor_limit};
 
 fn main() -> ExitCode {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    raise_descriptor_limit();
     let done = match &arguments[..] {
         ["publish", count, queue] => publish(number(count), number(queue) as u32),
         ["publish-for-ever", queue] => publish_for_ever(number(queue) as u32),
