@@ -112,7 +112,7 @@ pub(crate) struct Broker {
     is_deaf: bool,
     buffer: Vec<u8>,
     /// Held locked while the broker runs.
-    lock: File,
+    lock: Arc<File>,
     ended: bool,
 }
 
@@ -120,7 +120,7 @@ impl Broker {
     /// A broker in a directory that is ours and locked.
     pub(crate) fn new(
         system: System,
-        lock: File,
+        lock: Arc<File>,
         system_id: u64,
         living: Vec<Survivor>,
     ) -> anyhow::Result<Self> {

@@ -15,6 +15,7 @@ use std::io::Write;
 use std::os::fd::{FromRawFd, RawFd};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -79,11 +80,38 @@ fn run(args: &Args, tell: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
             System::new(base, number.unwrap_or(named.number()))
         }
     };
-    let Some((lock, system_id, living)) = take_system(&system)? else {
+    let had_base = system.base().exists();
+    let begun = begin(args, &system);
+    if begun.is_err() && !had_base {
+        // Only if nobody else has made something in it meanwhile.
+        let _ = std::fs::remove_dir(system.base());
+    }
+    let Some(mut broker) = begun? else {
         tell("running");
         eprintln!("uorbd: already running at {system}");
         return Ok(());
     };
+    tell("ready");
+    broker.run()
+}
+
+/// Makes the system ours, and a broker in it. None if another one runs it.
+fn begin(args: &Args, system: &System) -> anyhow::Result<Option<Broker>> {
+    let Some((lock, system_id, living)) = take_system(system)? else { return Ok(None) };
+    // Held while we clean up after a failure, too.
+    let lock = Arc::new(lock);
+    let is_new = living.is_empty();
+    let broker = equip(args, system)
+        .and_then(|()| Broker::new(system.clone(), lock.clone(), system_id, living));
+    if broker.is_err() && is_new {
+        // A system that never was leaves nothing behind.
+        directory::remove(system);
+    }
+    broker.map(Some)
+}
+
+/// What a broker needs besides its directory.
+fn equip(args: &Args, system: &System) -> anyhow::Result<()> {
     let log = system.log();
     log::start((!args.foreground).then_some(&log))
         .with_context(|| format!("cannot write the log {}", log.display()))?;
@@ -94,9 +122,7 @@ fn run(args: &Args, tell: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
         );
     }
     raise_descriptor_limit();
-    let mut broker = Broker::new(system, lock, system_id, living)?;
-    tell("ready");
-    broker.run()
+    Ok(())
 }
 
 /// Makes the system ours. None if another broker runs it: one that has the lock

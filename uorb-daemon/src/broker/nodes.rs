@@ -160,7 +160,7 @@ impl Broker {
 }
 
 /// What the client library could not do, as an answer to a process.
-fn refusal_of(error: &Error) -> Refusal {
+pub(super) fn refusal_of(error: &Error) -> Refusal {
     match error {
         Error::NoSpace { path, needed_bytes } => {
             Refusal::NoSpace { path: path.clone(), needed_bytes: *needed_bytes }
@@ -169,6 +169,6 @@ fn refusal_of(error: &Error) -> Refusal {
     }
 }
 
-pub(super) fn failed(error: &dyn std::fmt::Display) -> Refusal {
+fn failed(error: &dyn std::fmt::Display) -> Refusal {
     Refusal::Failed { what: error.to_string() }
 }
