@@ -10,7 +10,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 use uorb_core::{Error, Session, System};
-use uorb_tests::{Actor, Bus, Plain, eventually, is_running, program};
+use uorb_tests::{Actor, Bus, Plain, Stamped, eventually, instance, is_running, program};
 
 fn end(pid: u32, signal: Signal) {
     kill(Pid::from_raw(pid as i32), signal).expect("it lives");
@@ -292,6 +292,35 @@ fn another_user_s_system_is_named_as_such_by_every_command() {
     as_nobody(&["status"]).failed(&["broker.sock belongs to user 0, not to 65534: set UORB_DIR"]);
 
     assert_eq!(bus.uorb(&["--dir", dir, "stop"]).code, 0, "root may");
+}
+
+#[test]
+fn a_node_that_cannot_be_read_is_shown_with_the_reason_beside_the_others() {
+    use std::os::unix::fs::FileExt;
+    let mut bus = Bus::start();
+    let _publication = bus.advertise::<Plain>();
+    bus.advertise::<Stamped>().publish(&Stamped::new(1, 1)).unwrap();
+    let path = bus.system.node("stamped", instance(0));
+    let file = fs::File::options().write(true).open(&path).unwrap();
+    file.write_all_at(&99_u32.to_ne_bytes(), 8).unwrap();
+    let why = format!("stamped0: {} has node file version 99", path.display());
+
+    let shown = bus.uorb(&["status"]).fine();
+    assert!(shown.contains("\nplain  ") && shown.contains(&format!("\n{why}")), "{shown}");
+    let shown = bus.uorb(&["ls", "-l"]).fine();
+    assert!(shown.contains(" plain0\n") && shown.contains(&why), "{shown}");
+    let shown = bus.uorb(&["top", "-1", "-a"]).fine();
+    assert!(shown.contains("\nplain  ") && shown.contains(&format!("\n{why}")), "{shown}");
+    let shown = bus.uorb(&["top", "-1", "plain"]).fine();
+    assert!(!shown.contains("stamped"), "it was not asked for: {shown}");
+    for command in [&["status", "--json"][..], &["top", "-1", "-a", "--json"]] {
+        let shown: Value = serde_json::from_str(&bus.uorb(command).fine()).expect("JSON");
+        let rows = shown.get("nodes").or(shown.get("topics")).unwrap().as_array().unwrap();
+        assert_eq!((rows.len(), &rows[0]["topic"]), (1, &"plain".into()), "{shown}");
+        let unreadable = shown["unreadable"].as_array().unwrap();
+        assert_eq!((unreadable.len(), &unreadable[0]["topic"]), (1, &"stamped".into()));
+        assert!(unreadable[0]["error"].as_str().unwrap().contains("version 99"), "{shown}");
+    }
 }
 
 #[test]

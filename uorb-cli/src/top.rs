@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::bail;
 use clap_complete::engine::ArgValueCandidates;
+use serde::Serialize;
 use uorb_core::Error;
 
 use self::model::{Selection, Update};
@@ -23,6 +24,7 @@ use crate::completions::topic_names;
 use crate::context::Context;
 use crate::exit::Early;
 use crate::interrupt::Interrupt;
+use crate::unreadable::Unreadable;
 
 /// From one update to the next, as in PX4.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -71,6 +73,15 @@ On a terminal, -1 and --json apart, it is a live view:
   /                     type a filter; Enter keeps it, Esc drops it
   arrows, PgUp, PgDn    scroll";
 
+/// What `--json` prints: an update, and the nodes that could not be looked at.
+#[derive(Serialize)]
+struct Line<'a> {
+    #[serde(flatten)]
+    update: &'a Update,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    unreadable: Vec<&'a Unreadable>,
+}
+
 pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut nodes = Nodes::new(&context.system);
     if !nodes.exist() {
@@ -95,13 +106,17 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
         }
         let after = nodes.look()?;
         let update = Update::between(&before, &after).select(&selection);
+        let unreadable = nodes.unreadable(&selection);
         if args.json {
-            writeln!(out, "{}", serde_json::to_string(&update)?)?;
+            writeln!(out, "{}", serde_json::to_string(&Line { update: &update, unreadable })?)?;
         } else {
             if number > 0 {
                 writeln!(out)?;
             }
             text::print(&update, out)?;
+            for node in unreadable {
+                writeln!(out, "{node}")?;
+            }
         }
         out.flush()?;
         if args.once {

@@ -114,7 +114,7 @@ impl Update {
 
     /// Only what is to be shown.
     pub(super) fn select(mut self, selection: &Selection) -> Self {
-        self.topics.retain(|row| selection.is_meant(row));
+        self.topics.retain(|row| selection.is_named(&row.topic));
         self.num_topics = self.topics.len();
         self.topics.retain(|row| selection.is_shown(row));
         self
@@ -134,8 +134,8 @@ pub(super) struct Selection {
 }
 
 impl Selection {
-    fn is_meant(&self, row: &Row) -> bool {
-        self.filters.is_empty() || self.filters.iter().any(|filter| row.topic.contains(&**filter))
+    pub(super) fn is_named(&self, topic: &str) -> bool {
+        self.filters.is_empty() || self.filters.iter().any(|filter| topic.contains(&**filter))
     }
 
     fn is_shown(&self, row: &Row) -> bool {
