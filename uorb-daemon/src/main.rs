@@ -28,10 +28,19 @@ use crate::broker::{Broker, kernel_rings_bells};
 use crate::directory::{Found, Survivor};
 use crate::limits::RUNNING_TIMEOUT;
 
+const EXAMPLES: &str = "\
+Examples:
+  uorb start                             what people use: returns when it is ready
+  uorbd --foreground                     for a service manager
+  uorbd --dir /run/uorb --system 1       a system of its own elsewhere
+  UORB_LOG=debug uorbd --foreground      says more
+
+SIGTERM and SIGINT end the system, as `uorb stop` does.";
+
 /// The broker of uORB between processes: it makes nodes and says who publishes
 /// on them. `uorb start` starts it; a service manager runs it with --foreground.
 #[derive(Parser, Debug)]
-#[command(name = "uorbd", version)]
+#[command(name = "uorbd", version, after_help = EXAMPLES)]
 struct Args {
     /// The directory of all systems [default: $UORB_DIR, else /dev/shm/uorb-UID]
     #[arg(long, value_name = "DIR")]
@@ -157,4 +166,17 @@ fn take_descriptor(number: RawFd) -> File {
     // SAFETY: whoever names a descriptor on the command line hands it over; a
     // number that is not open fails at the first write.
     unsafe { File::from_raw_fd(number) }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_help_has_examples() {
+        let after = Args::command().get_after_help().map(ToString::to_string);
+        assert!(after.is_some_and(|after| after.contains("Examples:\n")));
+    }
 }
