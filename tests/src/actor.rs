@@ -4,22 +4,26 @@
 //! input ends it. An actor dies with the test that spawned it.
 
 use std::alloc::{GlobalAlloc, Layout, System as SystemAllocator};
-use std::io::{BufRead, BufReader, stdin};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write, stdin};
 use std::os::fd::AsFd;
-use std::process::{Command, ExitCode, Stdio};
+use std::path::Path;
+use std::process::{Command, ExitCode, Output, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use nix::mount::{MsFlags, mount};
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{
     AdvertiseOptions, Claim, Error, Instance, Layout as MessageLayout, Metadata, Priority,
     Publication, QueueLength, RawPublication, RawSubscription, Session, StreamSubscription,
     Subscription, System, poll, topic,
 };
-use uorb_tests::{PATIENCE, Plain, Stamped, program};
+use uorb_tests::{PATIENCE, Plain, Stamped, program, raise_descriptor_limit};
 
 fn main() -> ExitCode {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
+    raise_descriptor_limit();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match &arguments[..] {
@@ -402,7 +406,6 @@ fn hot_path_of_a_stream() -> Result<(), Error> {
 /// In a mount namespace of its own, with 64 MiB of memory for the bus: makes
 /// topics until they do not fit, and publishes on all that did.
 fn fill_small_memory() -> Result<(), Error> {
-    use nix::mount::{MsFlags, mount};
     use nix::sched::{CloneFlags, unshare};
     let system = System::from_env()?;
     let none: Option<&str> = None;
@@ -455,5 +458,33 @@ fn fill(system: &System) -> Result<(), Error> {
     let unfinished = std::fs::read_dir(system.unfinished()).expect("it is there").count();
     drop(Publication::<Stamped>::advertise(&session));
     println!("{} topics, {unfinished} unfinished", publications.len());
+    // A broker that starts, in memory of its own that nobody else gives back.
+    let other = system.base().join("other");
+    std::fs::create_dir(&other).expect("a new directory");
+    mount(Some("tmpfs"), &other, Some("tmpfs"), MsFlags::empty(), Some("size=64k"))
+        .expect("as the first one");
+    fill_to_the_brim(&other);
+    let start = format!("--dir {} start", other.display());
+    for command in ["status", "listener large0 1", "pub large0", "pub orb_test val=1", &start] {
+        // Whoever has ended may have given some back.
+        fill_to_the_brim(system.base());
+        let uorb = Command::new(program("uorb")).args(command.split(' ')).output();
+        let Output { status, stdout, stderr } = uorb.expect("it runs");
+        let said = [stdout, stderr].concat();
+        let said = String::from_utf8_lossy(&said).replace('\n', " ");
+        let said = &said[..said.floor_char_boundary(400)];
+        let name = if command == start { "start" } else { command };
+        println!("{name}: {} {said}", status.code().expect("it was not killed"));
+    }
+    let left = std::fs::read_dir(&other).expect("it is there").flatten();
+    let left: Vec<_> = left.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    println!("left: {}.", left.join(" "));
     Ok(())
+}
+
+/// Takes what memory there is left, to the last page.
+fn fill_to_the_brim(dir: &Path) {
+    let brim = File::options().create(true).append(true).open(dir.join("brim"));
+    let mut brim = brim.expect("an empty file takes nothing");
+    while brim.write_all(&[1; 4_096]).is_ok() {}
 }

@@ -16,6 +16,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use nix::sys::resource::{Resource, getrlimit, setrlimit};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use uorb_core::{
@@ -99,6 +100,7 @@ impl Bus {
 
     /// A directory of one's own.
     pub fn without_broker() -> Self {
+        raise_descriptor_limit();
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let count = COUNT.fetch_add(1, Ordering::Relaxed);
         let base = PathBuf::from(format!("/dev/shm/uorb-test-{}-{count}", std::process::id()));
@@ -279,6 +281,23 @@ impl Drop for Bus {
         systems.for_each(|number| World::of(&System::new(&self.base, number)).remove());
         let _ = fs::remove_dir_all(&self.base);
     }
+}
+
+/// Stories hold more descriptors than the usual soft limit of 1,024 lets them.
+pub fn raise_descriptor_limit() {
+    let (_, hard) = getrlimit(Resource::RLIMIT_NOFILE).expect("there is a limit");
+    setrlimit(Resource::RLIMIT_NOFILE, hard, hard).expect("up to the hard one");
+}
+
+/// Whether a process of ours may hold so many descriptors; says so if not.
+pub fn may_hold(descriptors: u64) -> bool {
+    let (_, hard) = getrlimit(Resource::RLIMIT_NOFILE).expect("there is a limit");
+    // And those that it has for other things.
+    let may = hard >= descriptors + 100;
+    if !may {
+        eprintln!("skipped: it needs {descriptors} descriptors, and the hard limit is {hard}");
+    }
+    may
 }
 
 /// The instance of this number.

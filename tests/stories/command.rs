@@ -1,6 +1,7 @@
 //! `uorb start`, `stop` and `status`: the broker from the command line.
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -10,8 +11,8 @@ use nix::sched::{CloneFlags, unshare};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
-use uorb_core::{Error, Session, World};
-use uorb_tests::{Actor, Bus, Plain, eventually, is_running, program};
+use uorb_core::{Error, Session, System, World};
+use uorb_tests::{Actor, Bus, Plain, Stamped, eventually, instance, is_running, program};
 
 fn end(pid: u32, signal: Signal) {
     kill(Pid::from_raw(pid as i32), signal).expect("it lives");
@@ -331,6 +332,89 @@ fn status_names_the_broker_the_processes_the_nodes_and_what_was_lost() {
     eventually("the loss is counted", || {
         bus.uorb(&["status"]).fine().ends_with("\nTOPIC, NR LOST MSGS\nstamped0: 2\n")
     });
+}
+
+#[test]
+fn another_user_s_system_is_named_as_such_by_every_command() {
+    if !nix::unistd::geteuid().is_root() {
+        eprintln!("skipped: only root can be another user");
+        return;
+    }
+    const NOBODY: u32 = 65_534;
+    let bus = Bus::without_broker();
+    let base = bus.system.base();
+    // Where everybody may run it.
+    fs::copy(program("uorb"), base.join("uorb")).unwrap();
+    let dir = base.join("private");
+    let roots = System::new(&dir, 0);
+    let dir = dir.to_str().unwrap();
+    let as_nobody = |arguments: &[&str]| {
+        let mut command = bus.command(&base.join("uorb"));
+        command.args(arguments).env("UORB_DIR", dir).uid(NOBODY).gid(NOBODY);
+        command.stderr(Stdio::piped());
+        Actor::spawn(command).end()
+    };
+    let commands: [&[&str]; 8] = [
+        &["status"],
+        &["ls"],
+        &["top", "-1"],
+        &["info", "orb_test"],
+        &["listener", "orb_test", "1"],
+        &["pub", "orb_test", "val=1"],
+        &["test", "test_single"],
+        &["stop"],
+    ];
+    assert_eq!(bus.uorb(&["--dir", dir, "start"]).code, 0);
+
+    // The directory is closed to others, then it is open to everybody.
+    for mode in [0o700, 0o777] {
+        for open in [roots.base(), &roots.dir(), &roots.nodes(), &roots.socket()] {
+            fs::set_permissions(open, fs::Permissions::from_mode(mode)).unwrap();
+        }
+        for command in commands {
+            if mode == 0o777 && ["ls", "top"].contains(&command[0]) {
+                continue; // They ask nobody, and may read what they can.
+            }
+            let ended = as_nobody(command);
+            ended.failed(&["belongs to user 0, not to 65534: set UORB_DIR"]);
+        }
+    }
+    // The broker in a directory of one's own is another user's.
+    for owned in [roots.base(), &roots.dir()] {
+        std::os::unix::fs::chown(owned, Some(NOBODY), None).unwrap();
+    }
+    as_nobody(&["status"]).failed(&["broker.sock belongs to user 0, not to 65534: set UORB_DIR"]);
+
+    assert_eq!(bus.uorb(&["--dir", dir, "stop"]).code, 0, "root may");
+}
+
+#[test]
+fn a_node_that_cannot_be_read_is_shown_with_the_reason_beside_the_others() {
+    use std::os::unix::fs::FileExt;
+    let mut bus = Bus::start();
+    let _publication = bus.advertise::<Plain>();
+    bus.advertise::<Stamped>().publish(&Stamped::new(1, 1)).unwrap();
+    let path = bus.system.node("stamped", instance(0));
+    let file = fs::File::options().write(true).open(&path).unwrap();
+    file.write_all_at(&99_u32.to_ne_bytes(), 8).unwrap();
+    let why = format!("stamped0: {} has node file version 99", path.display());
+
+    let shown = bus.uorb(&["status"]).fine();
+    assert!(shown.contains("\nplain  ") && shown.contains(&format!("\n{why}")), "{shown}");
+    let shown = bus.uorb(&["ls", "-l"]).fine();
+    assert!(shown.contains(" plain0\n") && shown.contains(&why), "{shown}");
+    let shown = bus.uorb(&["top", "-1", "-a"]).fine();
+    assert!(shown.contains("\nplain  ") && shown.contains(&format!("\n{why}")), "{shown}");
+    let shown = bus.uorb(&["top", "-1", "plain"]).fine();
+    assert!(!shown.contains("stamped"), "it was not asked for: {shown}");
+    for command in [&["status", "--json"][..], &["top", "-1", "-a", "--json"]] {
+        let shown: Value = serde_json::from_str(&bus.uorb(command).fine()).expect("JSON");
+        let rows = shown.get("nodes").or(shown.get("topics")).unwrap().as_array().unwrap();
+        assert_eq!((rows.len(), &rows[0]["topic"]), (1, &"plain".into()), "{shown}");
+        let unreadable = shown["unreadable"].as_array().unwrap();
+        assert_eq!((unreadable.len(), &unreadable[0]["topic"]), (1, &"stamped".into()));
+        assert!(unreadable[0]["error"].as_str().unwrap().contains("version 99"), "{shown}");
+    }
 }
 
 #[test]

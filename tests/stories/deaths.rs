@@ -1,12 +1,18 @@
+use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
 use std::time::Duration;
 
+use nix::poll::{PollFd, PollFlags, PollTimeout};
 use nix::sys::signal::Signal;
-use uorb_core::broker_side::{Ending, Node, Reply, Request, Role};
+use nix::sys::socket::{SockFlag, accept4};
+use uorb_core::broker_side::{
+    Ending, FromBroker, Node, Reply, Request, Role, ToBroker, decode, encode, listen_as_broker,
+    receive_packet, send_packet,
+};
 use uorb_core::{
     AdvertiseOptions, Error, Instance, Priority, Publication, QueueLength, Session, Subscription,
-    poll, topic,
+    System, World, poll, topic,
 };
-use uorb_tests::{Bus, PATIENCE, Plain, Stamped, eventually, instance};
+use uorb_tests::{Bus, PATIENCE, Plain, Stamped, eventually, instance, may_hold};
 
 fn claimed(bus: &Bus, priority: &str) -> (uorb_tests::Actor, String) {
     let mut actor = bus.spawn(&["claim", priority]);
@@ -273,6 +279,9 @@ fn a_topic_that_is_described_while_a_process_re_joins_is_not_missed() {
 
 #[test]
 fn a_publication_that_is_dropped_around_a_cut_off_is_unadvertised() {
+    if !may_hold(3_000) {
+        return;
+    }
     let mut bus = Bus::start();
     let mut actor = bus.spawn(&["hold-and-drop", "3000"]);
     actor.expect("ready");
@@ -369,4 +378,141 @@ fn a_broker_that_was_killed_while_nodes_gave_way_leaves_one_layout_in_the_topic(
 topic! {
     /// Topic `plain` of another size.
     pub struct WidePlain = "plain" { pub values: [u64; 4] }
+}
+
+/// A broker of whom a story says what it answers, and when it is gone.
+struct StagedBroker {
+    system: System,
+    socket: OwnedFd,
+}
+
+impl StagedBroker {
+    /// Listens, with the lock file in place.
+    fn new(bus: &Bus) -> Self {
+        let system = bus.system.clone();
+        for dir in [system.dir(), system.nodes(), system.peers()] {
+            std::fs::create_dir_all(dir).unwrap();
+        }
+        std::fs::write(system.lock(), "").unwrap();
+        let socket = listen_as_broker(&system).unwrap();
+        Self { system, socket }
+    }
+
+    /// Waits until somebody connects.
+    fn wait(&self) {
+        let mut ready = [PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)];
+        nix::poll::poll(&mut ready, PollTimeout::NONE).unwrap();
+    }
+
+    /// Takes the next one who connects, and hears its first request.
+    fn accept(&self) -> OwnedFd {
+        self.wait();
+        let accepted = accept4(self.socket.as_raw_fd(), SockFlag::SOCK_CLOEXEC);
+        // SAFETY: it has just been made, and nobody else knows its number.
+        #[allow(unsafe_code)]
+        let accepted = unsafe { OwnedFd::from_raw_fd(accepted.unwrap()) };
+        Self::hear(&accepted);
+        accepted
+    }
+
+    fn hear(client: &OwnedFd) -> ToBroker {
+        decode(receive_packet(client, &mut Vec::new()).unwrap()).expect("a request")
+    }
+
+    fn say(client: &OwnedFd, word: &FromBroker) {
+        // Who has seen enough may be gone.
+        let _ = send_packet(client, &encode(word));
+    }
+
+    fn welcome(&self, client: &OwnedFd) {
+        let reply = Reply::Welcome { peer: 1, system_id: 7, world: World::of(&self.system) };
+        Self::say(client, &FromBroker::Reply { number: 0, reply });
+    }
+
+    fn remove_socket(&self) {
+        std::fs::remove_file(self.system.socket()).unwrap();
+    }
+}
+
+#[test]
+fn a_process_that_joins_while_the_system_ends_hears_that_it_has_ended() {
+    type Stage = fn(StagedBroker);
+    let stages: [(&str, Stage); 4] = [
+        ("nobody accepts it any more", |broker| {
+            broker.wait();
+            broker.remove_socket();
+        }),
+        ("the broker says so instead of an answer", |broker| {
+            let client = broker.accept();
+            broker.remove_socket();
+            StagedBroker::say(&client, &FromBroker::Ended);
+        }),
+        ("the broker hangs up", |broker| {
+            let _client = broker.accept();
+            broker.remove_socket();
+        }),
+        ("it is welcome, and its file is gone", |broker| {
+            let client = broker.accept();
+            broker.remove_socket();
+            broker.welcome(&client);
+            StagedBroker::say(&client, &FromBroker::Ended);
+        }),
+    ];
+    for (stage, play) in stages {
+        let bus = Bus::without_broker();
+        let broker = StagedBroker::new(&bus);
+        let player = std::thread::spawn(move || play(broker));
+        let refused = Session::connect_to(&bus.system).map(|_| ());
+        player.join().unwrap();
+        assert!(matches!(refused, Err(Error::Ended { .. })), "{stage}: {refused:?}");
+    }
+}
+
+#[test]
+fn a_broker_that_hangs_up_and_leaves_its_socket_has_not_ended_the_system() {
+    let bus = Bus::without_broker();
+    let broker = StagedBroker::new(&bus);
+    let player = std::thread::spawn(move || drop(broker.accept()));
+    let refused = Session::connect_to(&bus.system).map(|_| ());
+    player.join().unwrap();
+    assert!(matches!(refused, Err(Error::NoBroker { .. })), "{refused:?}");
+}
+
+#[test]
+fn a_grant_whose_node_is_gone_with_the_system_says_that_it_has_ended() {
+    type Stage = fn(&StagedBroker, &OwnedFd, u32);
+    fn grant(client: &OwnedFd, number: u32) {
+        let reply = Reply::Advertised(Instance::FIRST);
+        StagedBroker::say(client, &FromBroker::Reply { number, reply });
+    }
+    let stages: [(&str, Stage); 2] = [
+        ("the broker says so next", |broker, client, number| {
+            grant(client, number);
+            broker.remove_socket();
+            StagedBroker::say(client, &FromBroker::Ended);
+        }),
+        ("the directory is gone, and the broker has not noticed", |broker, client, number| {
+            std::fs::remove_dir_all(broker.system.dir()).unwrap();
+            grant(client, number);
+            let ToBroker { number, .. } = StagedBroker::hear(client);
+            StagedBroker::say(client, &FromBroker::Reply { number, reply: Reply::Done });
+        }),
+    ];
+    for (how, play) in stages {
+        let bus = Bus::without_broker();
+        let broker = StagedBroker::new(&bus);
+        std::fs::write(bus.system.peer(1), "").unwrap();
+        let player = std::thread::spawn(move || {
+            let client = broker.accept();
+            broker.welcome(&client);
+            let ToBroker { number, .. } = StagedBroker::hear(&client);
+            play(&broker, &client, number);
+            // Until the process has what it came for, nobody hangs up.
+            (broker, client)
+        });
+        let session = Session::connect_to(&bus.system).unwrap();
+        let refused = Publication::<Plain>::advertise(&session).map(|_| ());
+        assert!(matches!(refused, Err(Error::Ended { .. })), "{how}: {refused:?}");
+        drop(player.join().unwrap());
+    }
 }

@@ -36,7 +36,10 @@ fn a_layout_that_no_live_process_uses_gives_way() {
     new.publish(&OtherPlain { other: 1.5 }).unwrap();
     assert_eq!(subscription.update(), Some(OtherPlain { other: 1.5 }));
     let log = std::fs::read_to_string(bus.system.log()).unwrap();
-    assert!(log.contains("plain: nobody uses the old layout any more"), "{log}");
+    assert!(
+        log.contains("plain: nobody uses the old layout any more, its node gives way"),
+        "{log}"
+    );
 }
 
 #[test]

@@ -312,7 +312,7 @@ fn a_topic_that_nobody_knows_is_an_error_that_names_the_nearest() {
     let bus = Bus::start();
     let unknown = |topic: &str| bus.uorb(&["listener", topic, "1"]);
     unknown("sensor_acel").failed(&["no topic \"sensor_acel\"", "did you mean sensor_accel?"]);
-    unknown("nothing_like_it").failed(&["no topic \"nothing_like_it\""]);
+    unknown("nothing_like_it").failed(&["no topic \"nothing_like_it\"", "`uorb ls`", "--wait"]);
 
     // What is on the bus is known, whether it was compiled in or not.
     let mut publisher = bus.spawn(&["publish", "1", "1"]);

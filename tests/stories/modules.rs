@@ -380,3 +380,30 @@ fn rc_sensors_feeds_the_listener() {
     bus.stop();
     eventually("they are gone", || !pids.iter().any(|pid| is_running(*pid)));
 }
+
+#[test]
+fn every_module_and_each_of_its_roles_has_help_with_examples() {
+    let bus = Bus::without_broker();
+    let commands: [&[&str]; 12] = [
+        &["color_counter"],
+        &["color_publisher"],
+        &["position"],
+        &["position", "beidou"],
+        &["position", "gps"],
+        &["position", "show"],
+        &["px4_simple_app"],
+        &["random_integer"],
+        &["random_integer", "publish"],
+        &["random_integer", "check"],
+        &["sensor_sim"],
+        &["sensors"],
+    ];
+    for command in commands {
+        let help = [&command[1..], &["--help"]].concat();
+        let help = bus.spawn_heard(command[0], &help).end().fine();
+        assert!(help.contains("Examples"), "{command:?}: {help}");
+    }
+    let rate = bus.spawn_heard("position", &["gps", "--rate", "-1"]).end();
+    assert_eq!(rate.code, 2);
+    assert!(rate.words.contains("not a number above 0"), "{}", rate.words);
+}

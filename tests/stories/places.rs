@@ -138,9 +138,23 @@ fn when_shared_memory_is_full_the_error_has_the_sum_and_nothing_dies() {
         return;
     }
     assert!(line.contains("large") && line.contains("bytes; free some"), "{line}");
-    let line = actor.finish().pop().expect("it publishes on");
+    let lines = actor.finish();
+    let [line, full @ ..] = &lines[..] else { panic!("it publishes on") };
     let topics: u32 = line.split(' ').next().unwrap().parse().unwrap();
     // Each takes twenty slots of 64 KiB.
     assert!((45..=51).contains(&topics), "64 MiB hold {line}");
     assert!(line.ends_with(" 0 unfinished"), "{line}");
+    // Not a byte is left: who joins now looks and copies, and is told what does
+    // not fit.
+    assert_eq!(full.len(), 6, "{full:?}");
+    for (line, [command, code, words]) in full.iter().zip([
+        ["status", "0", "large0"],
+        ["listener large0 1", "0", "TOPIC: large0"],
+        ["pub large0", "0", "published 1 message"],
+        ["pub orb_test val=1", "1", "obj/orb_test0: it needs "],
+        ["start", "1", "0/broker.lock: it needs 100 bytes; free some, or mount a larger /dev/shm"],
+        ["left", "brim.", ""],
+    ]) {
+        assert!(line.starts_with(&format!("{command}: {code}")) && line.contains(words), "{line}");
+    }
 }

@@ -79,6 +79,8 @@ fn what_cannot_be_published_is_an_error_that_names_the_field() {
     refused("vehicle_attitude", "q=1", &["q is float32[4]", "q[0]="]);
     refused("esc_status", "esc[1].esc_rmp=1", &["esc_report", "did you mean esc_rpm?"]);
     refused("esc_status", "esc[1]=1", &["esc[1]", "esc_report"]);
+    let twice = ["pub", "vehicle_attitude", "q[0]=1", "roll=1", "q[0]=2"];
+    bus.uorb(&twice).failed(&["q[0] is given twice"]);
     refused("sensor_acel", "x=1", &["no topic \"sensor_acel\"", "sensor_accel"]);
     assert_eq!(bus.uorb(&["ls"]).fine(), "", "nothing was advertised");
 }

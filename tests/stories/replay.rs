@@ -299,13 +299,24 @@ fn topics_and_instances_can_be_picked() {
         assert_eq!(sensors.counts, counts(log, is_sensor));
         let second = replay(&bus, log, &["-i", "1"]);
         assert_eq!(second.counts, counts(log, |series| series.instance == 1));
-        bus.uorb(&["replay", log.name(), "--topic", "sensr_*"]).failed(&["sensr_*", log.name()]);
+        let others = replay(&bus, log, &["--exclude", "sensor_*", "--exclude", "vehicle_attitude"]);
+        assert_eq!(others.counts, counts(log, |series| !is_sensor(series)));
+        let some = replay(&bus, log, &["--topic", "sensor_*", "--exclude", "sensor_combined"]);
+        let is_meant = |series: &Series| {
+            is_sensor(series) && !["sensor_combined", "vehicle_attitude"].contains(&&*series.topic)
+        };
+        assert_eq!(some.counts, counts(log, is_meant));
+        for option in ["--topic", "--exclude"] {
+            let refused = bus.uorb(&["replay", log.name(), option, "sensr_*"]);
+            refused.failed(&["sensr_*", log.name()]);
+        }
+        bus.uorb(&["replay", log.name(), "--exclude", "*"]).failed(&["all are left out"]);
     }
 }
 
 #[test]
 fn the_first_seconds_can_be_left_out_and_the_rest_go_faster() {
-    let bus = Bus::start();
+    let mut bus = Bus::start();
     let mut recording = Recording::begin(0);
     recording.describe(SensorAccel::LAYOUT);
     let id = recording.announce("sensor_accel", 0);
@@ -319,6 +330,9 @@ fn the_first_seconds_can_be_left_out_and_the_rest_go_faster() {
     let Closing { line, counts } = closing(&bus.uorb(&arguments).fine());
     assert_eq!(counts.values().sum::<u64>(), 7, "those of the seconds 3 to 9");
     assert_eq!(line["log_seconds"], 6.5);
+    let beyond = ["replay", path.to_str().unwrap(), "--start", "9.5"];
+    bus.uorb(&beyond).failed(&["ten-seconds.ulg is 9.0 s long", "--start 9.5"]);
+    assert!(!bus.is_advertised("sensor_accel"));
 }
 
 #[test]
@@ -382,11 +396,15 @@ fn a_log_whose_formats_a_live_process_contradicts_is_refused_before_anything_is_
         let refused = bus.uorb(&["replay", log.name(), "--speed", "max"]);
 
         refused.failed(&["vehicle_attitude", "float roll", "float[4] q"]);
+        refused.failed(&["in use: hash 0x", "this program: no hash, "]);
+        refused.failed(&["--exclude vehicle_attitude", "--topic"]);
         let published = bus.uorb(&["status", "--json"]).fine();
         let status: Value = serde_json::from_str(&published).unwrap();
         assert_eq!(status["broker"]["advertised"], 0);
         let nodes = status["nodes"].as_array().unwrap();
         assert!(nodes.iter().all(|node| node["published"] == 0), "nothing was published");
+        let without = replay(&bus, log, &["--exclude", "vehicle_attitude"]);
+        assert_eq!(without.counts, counts(log, |series| series.topic != "vehicle_attitude"));
         drop(typed);
         eventually("the node gives way", || {
             bus.uorb(&["replay", log.name(), "--speed", "max", "--quiet"]).code == 0

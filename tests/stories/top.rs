@@ -243,8 +243,9 @@ fn top_ends_with_the_system_and_with_its_reader() {
     assert!(top.line().unwrap().starts_with("update: "));
     bus.stop();
     let ended = top.end();
-    assert_eq!(ended.code, 1);
-    assert!(ended.words.contains("no broker runs"), "{}", ended.words);
+    let says = format!("uorb: the system at {} has ended (`uorb stop`)\n", bus.system);
+    assert_eq!((ended.code, ended.words), (1, says), "as a listener ends");
+    bus.uorb(&["top", "-1"]).failed(&["no broker runs", "uorb start"]);
 }
 
 /// Reads a terminal until this was written on it; None: until nobody has it any

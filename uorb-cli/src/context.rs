@@ -14,7 +14,7 @@ pub(crate) struct Place {
     pub(crate) dir: Option<PathBuf>,
 
     /// The number of the system [default: $UORB_SYSTEM, else 0]
-    #[arg(long, global = true, value_name = "N")]
+    #[arg(long, global = true, value_name = "N", allow_negative_numbers = true)]
     pub(crate) system: Option<u32>,
 }
 

@@ -35,7 +35,13 @@ pub(crate) struct Args {
     json: bool,
 
     /// How long to count messages for the rate; 0 counts none
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.5, value_parser = window)]
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value_t = 0.5,
+        value_parser = window,
+        allow_negative_numbers = true
+    )]
     window: f64,
 }
 

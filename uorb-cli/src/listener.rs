@@ -40,19 +40,19 @@ pub(crate) struct Args {
     topic: String,
 
     /// How many messages
-    #[arg(conflicts_with_all = ["number", "follow"], value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(conflicts_with_all = ["number", "follow"], value_parser = count, allow_negative_numbers = true)]
     count: Option<u64>,
 
     /// How many messages
-    #[arg(short, value_name = "COUNT", conflicts_with = "follow", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(short, value_name = "COUNT", conflicts_with = "follow", value_parser = count, allow_negative_numbers = true)]
     number: Option<u64>,
 
     /// Of which instance, 0 to 9 [default: 0; without a count, all]
-    #[arg(short, long, value_parser = instance)]
+    #[arg(short, long, value_parser = instance, allow_negative_numbers = true)]
     instance: Option<Instance>,
 
     /// At most so many messages a second; without a count, until Ctrl-C
-    #[arg(short, long, value_name = "HZ", value_parser = positive)]
+    #[arg(short, long, value_name = "HZ", value_parser = positive, allow_negative_numbers = true)]
     rate: Option<f64>,
 
     /// Until Ctrl-C
@@ -65,7 +65,7 @@ pub(crate) struct Args {
     all_messages: bool,
 
     /// Give up when nothing came for so long (exit code 124)
-    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    #[arg(long, value_name = "SECONDS", value_parser = positive, allow_negative_numbers = true)]
     timeout: Option<f64>,
 
     /// Wait for a topic that nobody has described yet, whatever its name
@@ -121,6 +121,14 @@ all messages came; 124 when --timeout is over; 1 for any error.";
 pub(crate) fn instance(text: &str) -> Result<Instance, String> {
     let number: u8 = text.parse().map_err(|_| "it is not in 0..9".to_string())?;
     Instance::try_from(number)
+}
+
+/// A number of messages on the command line.
+pub(crate) fn count(text: &str) -> Result<u64, String> {
+    text.parse()
+        .ok()
+        .filter(|count| *count > 0)
+        .ok_or_else(|| "it is not a number from 1 up".into())
 }
 
 /// A rate or a time on the command line.

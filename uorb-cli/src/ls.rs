@@ -3,10 +3,9 @@
 use std::io::Write;
 
 use anyhow::bail;
-use uorb_core::Error;
-use uorb_core::broker_side::{Node, Role};
 
 use crate::context::Context;
+use crate::unreadable::{Looked, look_at};
 
 /// List the nodes, one a line, as `ls /obj` does.
 #[derive(Debug, clap::Args)]
@@ -28,7 +27,8 @@ Examples:
 
 With -l: SIZE of a message in bytes, messages the node keeps (#Q, 0 before its
 first publisher), publishers (#PUB), subscriptions (#SUB), messages published
-so far (#MSG), and the node's name.";
+so far (#MSG), and the node's name; question marks, and the reason, where a node
+cannot be read.";
 
 pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
     if !matches!(args.path.trim_matches('/'), "obj") {
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     }
     let system = &context.system;
     if !system.nodes().exists() {
-        bail!(Error::NoBroker { path: system.socket() });
+        bail!(system.no_broker());
     }
     let mut rows = Vec::new();
     for (topic, instance) in system.list_nodes()? {
@@ -44,11 +44,13 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
             writeln!(out, "{topic}{instance}")?;
             continue;
         }
-        let node = match Node::open(system, &topic, instance, Role::Observer) {
-            Ok(node) => node,
-            // It gave way to another while we looked.
-            Err(Error::NoNode { .. }) => continue,
-            Err(error) => return Err(error.into()),
+        let node = match look_at(system, &topic, instance)? {
+            Looked::Open(node) => node,
+            Looked::Gone => continue,
+            Looked::Unreadable(node) => {
+                writeln!(out, "    ?   ?    ?    ?          ? {node}")?;
+                continue;
+            }
         };
         rows.push((node.name(), node.identity.metadata.layout.size_bytes, node.status()));
     }

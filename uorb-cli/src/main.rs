@@ -27,6 +27,7 @@ mod stop;
 mod test;
 mod top;
 mod topics;
+mod unreadable;
 
 use std::io::{self, BufWriter, Write};
 use std::path::Path;

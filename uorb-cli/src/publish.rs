@@ -35,7 +35,13 @@ pub(crate) struct Args {
     fields: Vec<String>,
 
     /// On which instance, 0 to 9, beside any others
-    #[arg(short, long, default_value = "0", value_parser = listener::instance)]
+    #[arg(
+        short,
+        long,
+        default_value = "0",
+        value_parser = listener::instance,
+        allow_negative_numbers = true
+    )]
     instance: Instance,
 
     /// On the lowest instance that nobody has advertised
@@ -43,15 +49,32 @@ pub(crate) struct Args {
     multi: bool,
 
     /// So many times a second; without -n, until Ctrl-C
-    #[arg(short, long, value_name = "HZ", value_parser = listener::positive)]
+    #[arg(
+        short,
+        long,
+        value_name = "HZ",
+        value_parser = listener::positive,
+        allow_negative_numbers = true
+    )]
     rate: Option<f64>,
 
     /// So many messages [default: 1]
-    #[arg(short, long, value_name = "COUNT", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(
+        short,
+        long,
+        value_name = "COUNT",
+        value_parser = listener::count,
+        allow_negative_numbers = true
+    )]
     number: Option<u64>,
 
     /// What subscribers choose among instances by, 0 to 255
-    #[arg(long, default_value_t = Priority::DEFAULT.0, value_name = "PRIORITY")]
+    #[arg(
+        long,
+        default_value_t = Priority::DEFAULT.0,
+        value_name = "PRIORITY",
+        allow_negative_numbers = true
+    )]
     priority: u8,
 
     /// Change the newest message instead of one of zeros
@@ -86,6 +109,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> anyhow::Result<()> {
         .iter()
         .map(|field| Assignment::parse(layout, field))
         .collect::<anyhow::Result<_>>()?;
+    for (number, assignment) in assignments.iter().enumerate() {
+        if assignments[..number].iter().any(|earlier| earlier.path == assignment.path) {
+            bail!("{} is given twice", assignment.path);
+        }
+    }
     let mut message = match args.from_last {
         true => newest(args, &session)?,
         false => vec![0; layout.size_bytes as usize],

@@ -20,7 +20,7 @@ use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use serde_json::json;
 use uorb_core::{
-    AdvertiseOptions, Claim, Instance, Metadata, QueueLength, RawPublication, Session,
+    AdvertiseOptions, Claim, Error, Instance, Metadata, QueueLength, RawPublication, Session,
     is_topic_name,
 };
 
@@ -42,24 +42,39 @@ pub(crate) struct Args {
     file: PathBuf,
 
     /// So many times as fast as it was recorded, or `max`: as fast as it goes
-    #[arg(long, default_value = "1", value_name = "X|max")]
+    #[arg(long, default_value = "1", value_name = "X|max", allow_negative_numbers = true)]
     speed: Speed,
 
     /// Only topics of this name; `*` stands for any letters. May be repeated
     #[arg(long, value_name = "PATTERN")]
     topic: Vec<String>,
 
+    /// No topics of this name; `*` stands for any letters. May be repeated
+    #[arg(long, value_name = "PATTERN")]
+    exclude: Vec<String>,
+
     /// Only instances of this number. May be repeated
-    #[arg(long, short, value_name = "N")]
+    #[arg(long, short, value_name = "N", allow_negative_numbers = true)]
     instance: Vec<u8>,
 
     /// Leave out the first seconds of the log
-    #[arg(long, default_value = "0", value_name = "SECONDS", value_parser = seconds)]
+    #[arg(
+        long,
+        default_value = "0",
+        value_name = "SECONDS",
+        value_parser = seconds,
+        allow_negative_numbers = true
+    )]
     start: Duration,
 
     /// Keep so many messages of each topic, up to 128, for subscribers that are
     /// slow; the log does not say how many it was
-    #[arg(long, value_name = "LENGTH")]
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        value_parser = clap::value_parser!(u32).range(1..=QueueLength::MAX.into()),
+        allow_negative_numbers = true
+    )]
     queue: Option<u32>,
 
     /// No progress bar, and no closing line
@@ -76,11 +91,12 @@ Examples:
   uorb replay flight.ulg
   uorb replay flight.ulg --speed 4 --start 60
   uorb replay flight.ulg --topic 'sensor_*' --topic vehicle_attitude
+  uorb replay flight.ulg --exclude sensor_combined
   uorb replay flight.ulg --speed max --json
 
 All topics and instances of the log are advertised at the beginning, in the
 log's own formats. A topic that a live process uses with other fields is an
-error, and nothing is published.
+error, and nothing is published: leave such topics out with --exclude.
 
 The bytes of a message stay as they were recorded, its timestamp too: that is
 the time since the start of the vehicle, not of this machine.
@@ -99,6 +115,11 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     let mut source = open(&args.file)?;
     let contents = Contents::look(&mut *source).with_context(|| file.to_string())?;
     let is_chosen = choose(args, &contents.series)?;
+    let length = Duration::from_micros(contents.length_us);
+    if args.start > length {
+        let (start, length) = (args.start.as_secs_f64(), length.as_secs_f64());
+        bail!("{file} is {length:.1} s long: --start {start} leaves nothing of it");
+    }
 
     let session = context.session()?;
     let mut outlets = Vec::new();
@@ -147,7 +168,7 @@ fn open(path: &Path) -> anyhow::Result<Box<dyn Source>> {
 
 /// Which of the series are to be replayed.
 fn choose(args: &Args, series: &[Series]) -> anyhow::Result<Vec<bool>> {
-    for pattern in &args.topic {
+    for pattern in args.topic.iter().chain(&args.exclude) {
         if !series.iter().any(|series| is_match(pattern, &series.topic)) {
             bail!("no topic in {} is named {pattern}", args.file.display());
         }
@@ -155,13 +176,16 @@ fn choose(args: &Args, series: &[Series]) -> anyhow::Result<Vec<bool>> {
     let is_chosen: Vec<bool> = series
         .iter()
         .map(|series| {
-            let by_topic = args.topic.iter().any(|pattern| is_match(pattern, &series.topic));
-            (by_topic || args.topic.is_empty())
+            let is_one_of = |patterns: &[String]| {
+                patterns.iter().any(|pattern| is_match(pattern, &series.topic))
+            };
+            (is_one_of(&args.topic) || args.topic.is_empty())
+                && !is_one_of(&args.exclude)
                 && (args.instance.contains(&series.instance) || args.instance.is_empty())
         })
         .collect();
     if !is_chosen.contains(&true) {
-        bail!("{} has no such instance of these topics", args.file.display());
+        bail!("{} has no such instance of these topics, or all are left out", args.file.display());
     }
     Ok(is_chosen)
 }
@@ -210,8 +234,17 @@ impl Outlet {
             queue_length: args.queue.map(QueueLength::at_least),
             ..AdvertiseOptions::default()
         };
-        let publication = RawPublication::advertise(session, &metadata, options)
-            .with_context(|| format!("cannot advertise {topic}{instance}"))?;
+        let publication =
+            RawPublication::advertise(session, &metadata, options).map_err(|error| {
+                let cure = match error {
+                    Error::LayoutMismatch(_) => format!(
+                        ",\n  or leave it out of the replay with --exclude {topic}, or choose \
+                         others with --topic"
+                    ),
+                    _ => String::new(),
+                };
+                anyhow!("cannot advertise {topic}{instance}: {error}{cure}")
+            })?;
         Ok(Self { publication, message: vec![0; layout.size_bytes as usize], published: 0 })
     }
 }

@@ -10,10 +10,11 @@ use anyhow::bail;
 use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 use serde::Serialize;
-use uorb_core::broker_side::{BrokerStatus, Node, NodeStatus, PeerInfo, Reply, Request, Role};
+use uorb_core::broker_side::{BrokerStatus, Node, NodeStatus, PeerInfo, Reply, Request};
 use uorb_core::{Error, System, now_us};
 
 use crate::context::Context;
+use crate::unreadable::{Looked, Unreadable, look_at};
 
 /// Show the broker, the processes, the nodes, and what was lost.
 #[derive(Debug, clap::Args)]
@@ -48,6 +49,9 @@ struct Status<'s> {
     streams: Streams<'s>,
     peers: Vec<Peer<'s>>,
     nodes: Vec<NodeRow>,
+    /// Nodes whose files cannot be read.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    unreadable: Vec<Unreadable>,
 }
 
 #[derive(Debug, Serialize)]
@@ -133,11 +137,13 @@ fn show(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<(
     };
     // This command is not what was asked about.
     peers.retain(|peer| peer.peer != session.peer());
+    let (nodes, unreadable) = nodes(&context.system)?;
     let status = Status {
         broker: Broker::new(&broker, &context.system),
         streams: Streams::new(&broker),
         peers: peers.iter().map(Peer::new).collect(),
-        nodes: nodes(&context.system)?,
+        nodes,
+        unreadable,
     };
     if args.json {
         writeln!(out, "{}", serde_json::to_string(&status)?)?;
@@ -146,18 +152,16 @@ fn show(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<(
     text::print(&status, args.all, out)
 }
 
-fn nodes(system: &System) -> Result<Vec<NodeRow>, Error> {
-    let mut rows = Vec::new();
+fn nodes(system: &System) -> Result<(Vec<NodeRow>, Vec<Unreadable>), Error> {
+    let (mut rows, mut unreadable) = (Vec::new(), Vec::new());
     for (topic, instance) in system.list_nodes()? {
-        let node = match Node::open(system, &topic, instance, Role::Observer) {
-            Ok(node) => node,
-            // It gave way to another while we looked.
-            Err(Error::NoNode { .. }) => continue,
-            Err(error) => return Err(error),
-        };
-        rows.push(NodeRow::new(&node));
+        match look_at(system, &topic, instance)? {
+            Looked::Open(node) => rows.push(NodeRow::new(&node)),
+            Looked::Gone => {}
+            Looked::Unreadable(node) => unreadable.push(node),
+        }
     }
-    Ok(rows)
+    Ok((rows, unreadable))
 }
 
 impl NodeRow {

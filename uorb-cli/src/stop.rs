@@ -1,6 +1,7 @@
 //! `uorb stop`: ends the system, and returns when it is gone.
 
 use std::fs::File;
+use std::io::ErrorKind;
 
 use anyhow::{Context as _, bail};
 use nix::errno::Errno;
@@ -40,18 +41,28 @@ pub(crate) fn run(_args: &Args, context: &Context) -> anyhow::Result<()> {
             }
             return Ok(());
         }
+        // Somebody else stops it, and we came too late to wait for its end.
+        Err(Error::Ended { .. }) => {
+            say(format_args!("stopped at {system}"));
+            return Ok(());
+        }
         Err(error) => return Err(error.into()),
     };
     let lock_path = system.lock();
     let open = File::options().read(true).write(true).open(&lock_path);
-    let lock = open.with_context(|| format!("cannot open {}", lock_path.display()))?;
+    let lock = match open {
+        Err(error) if error.kind() == ErrorKind::NotFound => None,
+        open => Some(open.with_context(|| format!("cannot open {}", lock_path.display()))?),
+    };
     match session.ask(Request::Stop) {
         // It ends us with all others, and that may be heard first.
         Ok(Reply::Done) | Err(Error::Ended { .. }) => {}
         Ok(reply) => bail!("the broker answered {reply:?} to a stop"),
         Err(error) => return Err(error.into()),
     }
-    wait_for(&lock).with_context(|| format!("cannot wait for {}", lock_path.display()))?;
+    if let Some(lock) = lock {
+        wait_for(&lock).with_context(|| format!("cannot wait for {}", lock_path.display()))?;
+    }
     say(format_args!("stopped at {system}"));
     Ok(())
 }

@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::bail;
 use clap_complete::engine::ArgValueCandidates;
+use serde::Serialize;
 use uorb_core::Error;
 
 use self::model::{Selection, Update};
@@ -23,6 +24,7 @@ use crate::completions::topic_names;
 use crate::context::Context;
 use crate::exit::Early;
 use crate::interrupt::Interrupt;
+use crate::unreadable::Unreadable;
 
 /// From one update to the next, as in PX4.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -74,13 +76,20 @@ On a terminal, -1 and --json apart, it is a live view:
   /                     type a filter; Enter keeps it, Esc drops it
   arrows, PgUp, PgDn    scroll";
 
+/// What `--json` prints: an update, and the nodes that could not be looked at.
+#[derive(Serialize)]
+struct Line<'a> {
+    #[serde(flatten)]
+    update: &'a Update,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    unreadable: Vec<&'a Unreadable>,
+}
+
 pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut nodes = Nodes::new(&context.system);
-    let is_there = |nodes: &Nodes| match nodes.exist() {
-        true => Ok(()),
-        false => Err(Error::NoBroker { path: context.system.socket() }),
-    };
-    is_there(&nodes)?;
+    if !nodes.exist() {
+        bail!(context.system.no_broker());
+    }
     let selection = Selection { all: args.all, filters: args.filters.clone() };
     if !args.once && !args.json && std::io::stdout().is_terminal() {
         return screen::show(&mut nodes, selection);
@@ -95,16 +104,22 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
             // That is how one ends it, where it does not end by itself.
             return if args.once { bail!(Early::Interrupted) } else { Ok(()) };
         }
-        is_there(&nodes)?;
+        if !nodes.exist() {
+            bail!(Error::Ended { path: context.system.dir() });
+        }
         let after = nodes.look()?;
         let update = Update::between(&before, &after).select(&selection);
+        let unreadable = nodes.unreadable(&selection);
         if args.json {
-            writeln!(out, "{}", serde_json::to_string(&update)?)?;
+            writeln!(out, "{}", serde_json::to_string(&Line { update: &update, unreadable })?)?;
         } else {
             if number > 0 {
                 writeln!(out)?;
             }
             text::print(&update, out)?;
+            for node in unreadable {
+                writeln!(out, "{node}")?;
+            }
         }
         out.flush()?;
         if args.once {

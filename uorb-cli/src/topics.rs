@@ -46,6 +46,11 @@ pub(crate) fn names(context: &Context) -> Vec<String> {
 /// Nobody knows this topic.
 pub(crate) fn unknown(context: &Context, topic: &str) -> anyhow::Error {
     let names = names(context);
-    let hint = did_you_mean(topic, names.iter().map(String::as_str));
+    let hint = match did_you_mean(topic, names.iter().map(String::as_str)) {
+        hint if hint.is_empty() => {
+            "; `uorb ls` lists the nodes, and `uorb listener --wait` waits for one".into()
+        }
+        hint => hint,
+    };
     anyhow!("no topic {topic:?}: no node has it, and it is not compiled in{hint}")
 }

@@ -75,6 +75,34 @@ fn a_command_line_that_makes_no_sense_has_its_own_exit_code() {
 }
 
 #[test]
+fn a_number_below_its_range_is_told_the_range() {
+    let listener = ["listener", "sensor_accel"];
+    let publish = ["pub", "orb_test"];
+    let replay = ["replay", "flight.ulg"];
+    for (command, number, range) in [
+        (&listener[..], &["-i", "-1"][..], "it is not in 0..9"),
+        (&listener, &["-n", "-3"], "it is not a number from 1 up"),
+        (&listener, &["-3"], "it is not a number from 1 up"),
+        (&listener, &["-r", "-1"], "it is not a number from 0.000001 to 1000000000"),
+        (&listener, &["--timeout", "-1"], "it is not a number from 0.000001 to 1000000000"),
+        (&publish, &["-i", "-1"], "it is not in 0..9"),
+        (&publish, &["-n", "-3"], "it is not a number from 1 up"),
+        (&publish, &["-r", "-0.5"], "it is not a number from 0.000001 to 1000000000"),
+        (&publish, &["--priority", "-1"], "-1 is not in 0..=255"),
+        (&replay, &["--speed", "-1"], "neither a number above 0 nor `max`"),
+        (&replay, &["--start", "-1"], "not a number from 0 up"),
+        (&replay, &["--queue", "-1"], "-1 is not in 1..=128"),
+        (&replay, &["--queue", "129"], "129 is not in 1..=128"),
+        (&["info", "orb_test"], &["--window", "-1"], "it is not a number from 0 to 3600"),
+    ] {
+        let output = uorb(&[command, number].concat());
+        assert_eq!(output.status.code(), Some(2), "{command:?} {number:?}");
+        let words = words(&output);
+        assert!(words.contains(range), "{command:?} {number:?}: {words}");
+    }
+}
+
+#[test]
 fn a_system_s_number_is_one() {
     let output = Command::new(env!("CARGO_BIN_EXE_uorb"))
         .arg("ls")

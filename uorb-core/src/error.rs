@@ -22,6 +22,19 @@ pub enum Error {
         /// The socket that was tried.
         path: PathBuf,
     },
+    /// The system is another user's. Each user has systems of their own.
+    #[error(
+        "{} belongs to user {owner}, not to {us}: set UORB_DIR to a directory of your own",
+        path.display()
+    )]
+    OtherUser {
+        /// The directory, or the broker's socket.
+        path: PathBuf,
+        /// The user that it belongs to.
+        owner: u32,
+        /// The user that this process runs as.
+        us: u32,
+    },
     /// The broker runs and does not answer: it is stopped, or overloaded.
     #[error(
         "the broker at {} has not answered for {seconds} s: it may be stopped (SIGSTOP); \

@@ -30,7 +30,8 @@ use nix::fcntl::{FcntlArg, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use nix::sys::signal::{SigSet, SigmaskHow, pthread_sigmask};
-use nix::sys::socket::{Shutdown, shutdown};
+use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt};
+use nix::unistd::geteuid;
 
 use crate::error::Error;
 use crate::node::{Node, Role};
@@ -196,14 +197,20 @@ impl Link {
 
         let path = system.socket();
         let socket = connect_patiently(system)?;
-        let (peer, system_id, world) = match join(system, &socket, None)? {
+        // Whoever ends a system removes its socket before anybody else hears of it.
+        let ended = |error| match system.is_removed() {
+            true if is_loss(&error) => Error::Ended { path: system.dir() },
+            _ => error,
+        };
+        let (peer, system_id, world) = match join(system, &socket, None).map_err(ended)? {
             Reply::Welcome { peer, system_id, world } => (peer, system_id, world),
             reply => return Err(unexpected(reply)),
         };
+        let life = lock_life(system, peer).map_err(ended)?;
         let quit = EventFd::from_flags(EfdFlags::EFD_CLOEXEC)
             .map_err(|errno| Error::io("make an event for", &path, errno.into()))?;
         let link = Arc::new(Self {
-            _life: lock_life(system, peer)?,
+            _life: life,
             system: system.clone(),
             peer,
             system_id,
@@ -246,6 +253,24 @@ impl Link {
     #[cold]
     pub(crate) fn unusable(&self) -> Error {
         if self.is_forked() { Error::Forked } else { Error::Ended { path: self.system.dir() } }
+    }
+
+    /// The error of using what the broker has granted. A file that is gone went
+    /// with the system, as a rule, and we may not have heard that yet: the broker
+    /// says it before it removes anything, so one more word with it tells.
+    #[cold]
+    pub(crate) fn explain(&self, error: Error) -> Error {
+        if !is_loss(&error) {
+            return error;
+        }
+        match self.ask(Request::Status) {
+            Err(ended @ Error::Ended { .. }) => ended,
+            _ if self.system.is_removed() => {
+                self.end();
+                self.unusable()
+            }
+            _ => error,
+        }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -457,15 +482,19 @@ impl Link {
     fn find_broker(&self, buffer: &mut Vec<u8>) -> bool {
         let mut pause = RETRY_FROM;
         loop {
-            if let Ok(socket) = connect_to_broker(&self.system) {
-                match self.rejoin(socket, buffer) {
+            let is_over = match connect_to_broker(&self.system) {
+                Ok(socket) => match self.rejoin(socket, buffer) {
                     Ok(()) => return true,
-                    Err(Error::Refused(Refusal::OtherSystem | Refusal::Version { .. })) => {
-                        self.end();
-                        return false;
-                    }
-                    Err(_) => {}
-                }
+                    Err(Error::Refused(Refusal::OtherSystem | Refusal::Version { .. })) => true,
+                    Err(Error::Ended { .. }) => true,
+                    Err(_) => false,
+                },
+                // The lock goes last, and never while the system has a future.
+                Err(_) => self.system.is_unlocked(),
+            };
+            if is_over {
+                self.end();
+                return false;
             }
             // The processes of a system lose their broker at the same instant;
             // each of them comes back at another.
@@ -527,7 +556,7 @@ fn connect_patiently(system: &System) -> Result<OwnedFd, Error> {
     let deadline = Instant::now() + ANSWER_TIMEOUT;
     loop {
         match connect_to_broker(system) {
-            Ok(socket) => return Ok(socket),
+            Ok(socket) => return refuse_other_users(system, socket),
             Err(error) if error.kind() != io::ErrorKind::WouldBlock => {
                 return Err(no_broker(system, error));
             }
@@ -536,6 +565,20 @@ fn connect_patiently(system: &System) -> Result<OwnedFd, Error> {
             Err(_) => thread::sleep(RETRY_FROM),
         }
     }
+}
+
+/// A broker takes processes of its own user and of root. The others are told why
+/// here: it just hangs up on them.
+fn refuse_other_users(system: &System, socket: OwnedFd) -> Result<OwnedFd, Error> {
+    let path = system.socket();
+    let us = geteuid();
+    let owner = getsockopt(&socket, sockopt::PeerCredentials)
+        .map_err(|errno| Error::io("look at", &path, errno.into()))?
+        .uid();
+    if owner == us.as_raw() || us.is_root() {
+        return Ok(socket);
+    }
+    Err(Error::OtherUser { path, owner, us: us.as_raw() })
 }
 
 /// One request and its answer on a connection that nobody else uses yet. The
@@ -564,9 +607,9 @@ fn exchange(
         };
         match decode(packet) {
             Some(FromBroker::Reply { reply, .. }) => return Ok(reply),
-            Some(FromBroker::Ended) => return Err(Refusal::OtherSystem.into()),
+            Some(FromBroker::Ended) => return Err(Error::Ended { path: system.dir() }),
             Some(word) => hear(word),
-            None => return Err(Error::NoBroker { path: system.socket() }),
+            None => return Err(system.no_broker()),
         }
     }
 }
@@ -646,14 +689,23 @@ fn no_answer(system: &System) -> Error {
 
 #[cold]
 fn no_broker(system: &System, error: io::Error) -> Error {
-    let path = system.socket();
     match error.kind() {
         io::ErrorKind::NotFound
         | io::ErrorKind::ConnectionRefused
         | io::ErrorKind::ConnectionReset
-        | io::ErrorKind::BrokenPipe => Error::NoBroker { path },
+        | io::ErrorKind::BrokenPipe => system.no_broker(),
         io::ErrorKind::WouldBlock => no_answer(system),
-        _ => Error::io("speak to", &path, error),
+        _ => system.other_user().unwrap_or_else(|| Error::io("speak to", &system.socket(), error)),
+    }
+}
+
+/// Whether an error says that something is gone which was there a moment ago:
+/// the broker, or a file.
+fn is_loss(error: &Error) -> bool {
+    match error {
+        Error::NoBroker { .. } | Error::NoNode { .. } => true,
+        Error::Io { source, .. } => source.kind() == io::ErrorKind::NotFound,
+        _ => false,
     }
 }
 

@@ -395,12 +395,16 @@ impl fmt::Display for Mismatch {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "topic {} is in use with another layout", self.topic)?;
         for (whose, layout) in [("this program", &self.ours), ("in use", &self.theirs)] {
-            let (hash, bytes) = (layout.message_hash, layout.size_bytes);
+            let bytes = layout.size_bytes;
+            let hash = match layout.message_hash {
+                0 => "no hash".into(),
+                hash => format!("hash {hash:#010x}"),
+            };
             if layout.is_untyped() {
                 writeln!(f, "  {whose}: {bytes} bytes, no field list")?;
                 continue;
             }
-            writeln!(f, "  {whose}: hash {hash:#010x}, {bytes} bytes: {}", layout.o_fields())?;
+            writeln!(f, "  {whose}: {hash}, {bytes} bytes: {}", layout.o_fields())?;
             // The difference may be inside a message that both contain.
             for nested in layout.nested() {
                 writeln!(f, "    {}: {}", nested.name, nested.o_fields())?;

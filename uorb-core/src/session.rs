@@ -258,6 +258,17 @@ impl Session {
         role: Role,
         layout: Option<&Layout>,
     ) -> Result<Arc<Node>, Error> {
+        // Nothing is held while the thread is waited for, which may end it all.
+        self.map(topic, instance, role, layout).map_err(|error| self.inner.link.explain(error))
+    }
+
+    fn map(
+        &self,
+        topic: &str,
+        instance: Instance,
+        role: Role,
+        layout: Option<&Layout>,
+    ) -> Result<Arc<Node>, Error> {
         let key = (topic.to_string(), instance, role);
         let mut nodes = self.inner.link.nodes.lock().unwrap_or_else(PoisonError::into_inner);
         let mapped = nodes.get(&key).and_then(Weak::upgrade);

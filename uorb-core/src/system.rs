@@ -7,6 +7,7 @@
 
 use std::env;
 use std::fmt;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
@@ -86,6 +87,34 @@ impl System {
         self.dir().join("broker.lock")
     }
 
+    /// Whether a broker that ended the system has begun to remove it, or somebody
+    /// has removed it without one: the socket goes first, the lock last. A broker
+    /// that starts makes its socket anew, so it may be missing for a moment.
+    pub(crate) fn is_removed(&self) -> bool {
+        is_missing(&self.socket()) || self.is_unlocked()
+    }
+
+    /// Whether there is no lock file, which is so from the end of a system on.
+    pub(crate) fn is_unlocked(&self) -> bool {
+        is_missing(&self.lock())
+    }
+
+    /// Why nobody answers here: no broker runs, or it is not for us.
+    #[doc(hidden)]
+    pub fn no_broker(&self) -> Error {
+        self.other_user().unwrap_or_else(|| Error::NoBroker { path: self.socket() })
+    }
+
+    /// That the system belongs to another user, if it does.
+    pub(crate) fn other_user(&self) -> Option<Error> {
+        // What is in another user's directory may be hidden, the directory is not.
+        let seen = [self.dir(), self.base.clone()].into_iter();
+        let (owner, path) =
+            seen.flat_map(|path| Some((path.metadata().ok()?.uid(), path))).next()?;
+        let us = nix::unistd::geteuid().as_raw();
+        (owner != us).then_some(Error::OtherUser { path, owner, us })
+    }
+
     /// The broker's log.
     pub fn log(&self) -> PathBuf {
         self.dir().join("broker.log")
@@ -152,6 +181,10 @@ impl fmt::Display for System {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.dir().display())
     }
+}
+
+fn is_missing(path: &Path) -> bool {
+    path.symlink_metadata().is_err_and(|error| error.kind() == std::io::ErrorKind::NotFound)
 }
 
 fn node_name(topic: &str, instance: Instance) -> String {

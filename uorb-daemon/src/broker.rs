@@ -112,7 +112,7 @@ pub(crate) struct Broker {
     is_deaf: bool,
     buffer: Vec<u8>,
     /// Held locked while the broker runs.
-    lock: File,
+    lock: Arc<File>,
     ended: bool,
 }
 
@@ -120,7 +120,7 @@ impl Broker {
     /// A broker in a directory that is ours and locked.
     pub(crate) fn new(
         system: System,
-        lock: File,
+        lock: Arc<File>,
         system_id: u64,
         living: Vec<Survivor>,
     ) -> anyhow::Result<Self> {
@@ -186,6 +186,10 @@ impl Broker {
                 Err(errno) => return Err(errno).context("cannot wait for events"),
             };
             for event in &events[..count] {
+                // What else has happened does not matter once it has ended.
+                if self.ended {
+                    break;
+                }
                 self.handle(Event::from_token(event.data()))?;
             }
         }

@@ -15,7 +15,7 @@ use anyhow::{Context, bail};
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
 use uorb_core::broker_side::{Ending, NODE_FILE_VERSION, Node, Role, boot_id};
-use uorb_core::{System, World};
+use uorb_core::{Error, System, World};
 
 /// What a broker that starts has found.
 pub(crate) enum Found {
@@ -40,6 +40,9 @@ struct Inscription {
     boot_id: [u8; 16],
     system_id: u64,
 }
+
+/// What an inscription takes, about.
+const INSCRIPTION_BYTES: usize = 100;
 
 /// Makes the directory if need be, takes its lock, and adopts or empties it.
 pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
@@ -77,7 +80,11 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
         make_ours(&dir)?;
     }
     let inscription = now(random()?)?;
-    inscription.write(&lock).with_context(|| format!("cannot write {}", lock_name(system)))?;
+    if let Err(error) = inscription.write(&lock) {
+        // Nothing of it is left for the next start to wonder about.
+        remove(system);
+        bail!(no_space(error, &system.lock(), INSCRIPTION_BYTES, "write"));
+    }
     Ok(Found::Ours { lock, system_id: inscription.system_id, living: Vec::new() })
 }
 
@@ -117,10 +124,7 @@ fn make_ours(dir: &Path) -> anyhow::Result<()> {
         fs::metadata(dir).with_context(|| format!("cannot look at {}", dir.display()))?.uid();
     let us = nix::unistd::geteuid().as_raw();
     if owner != us {
-        bail!(
-            "{} belongs to user {owner}, not to {us}: set UORB_DIR to a directory of your own",
-            dir.display(),
-        );
+        bail!(Error::OtherUser { path: dir.into(), owner, us });
     }
     Ok(())
 }
@@ -225,7 +229,11 @@ fn living(system: &System) -> anyhow::Result<Vec<Survivor>> {
             Life::Unknown => 0,
             Life::Over => continue,
         };
-        let name = fs::read_to_string(system.peer(peer)).unwrap_or_default();
+        let name = match fs::read_to_string(system.peer(peer)) {
+            Ok(name) if !name.is_empty() => name,
+            // Until it has re-joined.
+            _ => "a process".into(),
+        };
         living.push(Survivor { peer, pid, name });
     }
     Ok(living)
@@ -268,15 +276,27 @@ pub(crate) fn life_of(system: &System, peer: u16) -> Life {
     }
 }
 
-/// Makes the file that a new process is to lock.
-pub(crate) fn make_peer_file(system: &System, peer: u16, name: &str) -> io::Result<()> {
-    let mut file = File::options()
-        .write(true)
-        .create(true)
-        .truncate(true)
-        .mode(0o600)
-        .open(system.peer(peer))?;
-    file.write_all(name.as_bytes())
+/// Makes the file that a new process is to lock. Its name is in it, for the next
+/// broker; where shared memory is full it goes without, since an empty file
+/// takes none: whoever wants to look or to copy must get in then, too.
+pub(crate) fn make_peer_file(system: &System, peer: u16, name: &str) -> Result<(), Error> {
+    let path = system.peer(peer);
+    let made = File::options().write(true).create(true).truncate(true).mode(0o600).open(&path);
+    let written = made.and_then(|mut file| match file.write_all(name.as_bytes()) {
+        Err(error) if error.kind() == io::ErrorKind::StorageFull => Ok(()),
+        written => written,
+    });
+    written.map_err(|error| no_space(error, &path, name.len(), "make"))
+}
+
+/// An error of making a file; where there is no room for it, with the sum.
+fn no_space(error: io::Error, path: &Path, size_bytes: usize, action: &'static str) -> Error {
+    match error.kind() {
+        io::ErrorKind::StorageFull => {
+            Error::NoSpace { path: path.into(), needed_bytes: size_bytes as u64 }
+        }
+        _ => Error::io(action, path, error),
+    }
 }
 
 fn write_lock() -> libc::flock {
@@ -296,10 +316,6 @@ fn random() -> anyhow::Result<u64> {
         .and_then(|mut file| file.read_exact(&mut bytes))
         .with_context(|| format!("cannot read {path}"))?;
     Ok(u64::from_ne_bytes(bytes))
-}
-
-fn lock_name(system: &System) -> String {
-    system.lock().display().to_string()
 }
 
 impl Inscription {

@@ -15,6 +15,7 @@ use std::io::Write;
 use std::os::fd::{FromRawFd, RawFd};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -27,10 +28,19 @@ use crate::broker::{Broker, kernel_rings_bells};
 use crate::directory::{Found, Survivor};
 use crate::limits::RUNNING_TIMEOUT;
 
+const EXAMPLES: &str = "\
+Examples:
+  uorb start                             what people use: returns when it is ready
+  uorbd --foreground                     for a service manager
+  uorbd --dir /run/uorb --system 1       a system of its own elsewhere
+  UORB_LOG=debug uorbd --foreground      says more
+
+SIGTERM and SIGINT end the system, as `uorb stop` does.";
+
 /// The broker of uORB between processes: it makes nodes and says who publishes
 /// on them. `uorb start` starts it; a service manager runs it with --foreground.
 #[derive(Parser, Debug)]
-#[command(name = "uorbd", version)]
+#[command(name = "uorbd", version, after_help = EXAMPLES)]
 struct Args {
     /// The directory of all systems [default: $UORB_DIR, else /dev/shm/uorb-UID]
     #[arg(long, value_name = "DIR")]
@@ -79,11 +89,38 @@ fn run(args: &Args, tell: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
             System::new(base, number.unwrap_or(named.number()))
         }
     };
-    let Some((lock, system_id, living)) = take_system(&system)? else {
+    let had_base = system.base().exists();
+    let begun = begin(args, &system);
+    if begun.is_err() && !had_base {
+        // Only if nobody else has made something in it meanwhile.
+        let _ = std::fs::remove_dir(system.base());
+    }
+    let Some(mut broker) = begun? else {
         tell("running");
         eprintln!("uorbd: already running at {system}");
         return Ok(());
     };
+    tell("ready");
+    broker.run()
+}
+
+/// Makes the system ours, and a broker in it. None if another one runs it.
+fn begin(args: &Args, system: &System) -> anyhow::Result<Option<Broker>> {
+    let Some((lock, system_id, living)) = take_system(system)? else { return Ok(None) };
+    // Held while we clean up after a failure, too.
+    let lock = Arc::new(lock);
+    let is_new = living.is_empty();
+    let broker = equip(args, system)
+        .and_then(|()| Broker::new(system.clone(), lock.clone(), system_id, living));
+    if broker.is_err() && is_new {
+        // A system that never was leaves nothing behind.
+        directory::remove(system);
+    }
+    broker.map(Some)
+}
+
+/// What a broker needs besides its directory.
+fn equip(args: &Args, system: &System) -> anyhow::Result<()> {
     let log = system.log();
     log::start((!args.foreground).then_some(&log))
         .with_context(|| format!("cannot write the log {}", log.display()))?;
@@ -94,9 +131,7 @@ fn run(args: &Args, tell: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
         );
     }
     raise_descriptor_limit();
-    let mut broker = Broker::new(system, lock, system_id, living)?;
-    tell("ready");
-    broker.run()
+    Ok(())
 }
 
 /// Makes the system ours. None if another broker runs it: one that has the lock
@@ -131,4 +166,17 @@ fn take_descriptor(number: RawFd) -> File {
     // SAFETY: whoever names a descriptor on the command line hands it over; a
     // number that is not open fails at the first write.
     unsafe { File::from_raw_fd(number) }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_help_has_examples() {
+        let after = Args::command().get_after_help().map(ToString::to_string);
+        assert!(after.is_some_and(|after| after.contains("Examples:\n")));
+    }
 }

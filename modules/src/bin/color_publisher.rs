@@ -24,7 +24,7 @@ struct Arguments {
     color: Color,
 
     /// How many a second
-    #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value = "1")]
+    #[arg(long, value_name = "HZ", value_parser = parse_rate, allow_negative_numbers = true, default_value = "1")]
     rate: f64,
 
     /// End after so many

@@ -33,6 +33,23 @@ Examples, each in a shell of its own:
 
 UORB_DIR and UORB_SYSTEM name the system, as for uorb.";
 
+const BEIDOU_EXAMPLES: &str = "\
+Examples:
+  position beidou                 prints: instance_beidou = 0
+  position beidou --priority 100  subscribers may prefer it
+  position beidou --count 1       one position, and the node keeps it";
+
+const GPS_EXAMPLES: &str = "\
+Examples:
+  position gps                    prints: instance_gps = 1, after beidou
+  position gps --rate 5           five positions a second";
+
+const SHOW_EXAMPLES: &str = "\
+Examples:
+  position show                   all receivers' positions, and who sends them
+  position show --instance 1      only the second one's
+  position show --count 10        ends after ten positions";
+
 /// Publishes a position, as one of several receivers, or shows them.
 #[derive(Parser)]
 #[command(name = "position", version, after_help = EXAMPLES)]
@@ -44,10 +61,13 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Role {
     /// Publish as the BeiDou receiver
+    #[command(after_help = BEIDOU_EXAMPLES)]
     Beidou(Receiver),
     /// Publish as the GPS receiver
+    #[command(after_help = GPS_EXAMPLES)]
     Gps(Receiver),
     /// Print each position and which process has sent it
+    #[command(after_help = SHOW_EXAMPLES)]
     Show {
         /// One instance, 0 to 9, or all
         #[arg(long, value_name = "N|all", value_parser = parse_instance, default_value = "all")]
@@ -61,7 +81,7 @@ enum Role {
 #[derive(Args)]
 struct Receiver {
     /// How many positions a second
-    #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value = "1")]
+    #[arg(long, value_name = "HZ", value_parser = parse_rate, allow_negative_numbers = true, default_value = "1")]
     rate: f64,
     /// What subscribers may choose by: 1 (the lowest) to 255
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..))]

@@ -28,6 +28,18 @@ Examples:
 
 UORB_DIR and UORB_SYSTEM name the system, as for uorb.";
 
+const PUBLISH_EXAMPLES: &str = "\
+Examples:
+  random_integer publish                 one a second, until Ctrl-C
+  random_integer publish --rate 10       ten a second
+  random_integer publish --seed 1        the same numbers every time";
+
+const CHECK_EXAMPLES: &str = "\
+Examples:
+  random_integer check                   prints them, until Ctrl-C
+  random_integer check --rate 0.5        looks every two seconds only
+  random_integer check --count 5         ends after five";
+
 /// Publishes random numbers, or prints them.
 #[derive(Parser)]
 #[command(name = "random_integer", version, after_help = EXAMPLES)]
@@ -39,9 +51,10 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Role {
     /// Publish random numbers
+    #[command(after_help = PUBLISH_EXAMPLES)]
     Publish {
         /// How many a second
-        #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value = "1")]
+        #[arg(long, value_name = "HZ", value_parser = parse_rate, allow_negative_numbers = true, default_value = "1")]
         rate: f64,
         /// End after so many
         #[arg(long, value_name = "N")]
@@ -51,9 +64,10 @@ enum Role {
         seed: Option<u64>,
     },
     /// Print a number whenever there is a new one
+    #[command(after_help = CHECK_EXAMPLES)]
     Check {
         /// How often a second to look
-        #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value = "10")]
+        #[arg(long, value_name = "HZ", value_parser = parse_rate, allow_negative_numbers = true, default_value = "10")]
         rate: f64,
         /// End after so many numbers
         #[arg(long, value_name = "N")]

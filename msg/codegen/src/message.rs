@@ -172,9 +172,11 @@ fn topics(message: &str, listed: Vec<TopicName>, notes: &mut Notes) -> Vec<Topic
         return vec![TopicName { name: message.to_string(), line: 1 }];
     };
     if first.name != message {
+        let is_listed = listed.iter().any(|topic| topic.name == message);
+        let none =
+            if is_listed { String::new() } else { format!("; there is no topic `{message}`") };
         let text = format!(
-            "the first topic is `{}`, not `{message}` as the file is named; there is no topic \
-             `{message}` unless it is listed",
+            "the first topic is `{}`, not `{message}` as the file is named{none}",
             first.name
         );
         notes.warn(first.line, text);

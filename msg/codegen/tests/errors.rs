@@ -273,8 +273,14 @@ fn odd_things_are_warnings() {
         let generated = Config::new().text("test.msg", text).generate().unwrap();
         generated.warnings.iter().map(Fault::to_string).collect()
     };
-    assert!(
-        warnings("# TOPICS other test")[0].starts_with("test.msg:1: the first topic is `other`")
+    assert_eq!(
+        warnings("# TOPICS other another"),
+        ["test.msg:1: the first topic is `other`, not `test` as the file is named; there is no \
+          topic `test`"]
+    );
+    assert_eq!(
+        warnings("# TOPICS other test"),
+        ["test.msg:1: the first topic is `other`, not `test` as the file is named"]
     );
     assert!(
         warnings("uint8 x\n#TOPICS a")[0].starts_with("test.msg:2: this line defines no topics")

@@ -5,7 +5,7 @@ use std::io::Write;
 use super::{NodeRow, Status, Streams};
 
 pub(super) fn print(status: &Status<'_>, all: bool, out: &mut dyn Write) -> anyhow::Result<()> {
-    let Status { broker, streams, peers, nodes } = status;
+    let Status { broker, streams, peers, nodes, unreadable } = status;
     writeln!(
         out,
         "uorbd {}, pid {}, up {}, at {}",
@@ -46,6 +46,9 @@ pub(super) fn print(status: &Status<'_>, all: bool, out: &mut dyn Write) -> anyh
                  {size_bytes:size_width$} {path}",
             )?;
         }
+    }
+    for node in unreadable {
+        writeln!(out, "{node}")?;
     }
     writeln!(out)?;
     // The seeds' status: what was lost, or that nothing was.
@@ -108,6 +111,7 @@ mod tests {
             streams: Streams { prefix: "iox2_", root: "/tmp/iceoryx2".into(), none_because: None },
             peers: Vec::new(),
             nodes,
+            unreadable: Vec::new(),
         }
     }
 

@@ -36,6 +36,10 @@ fn first_line(view: &View) -> Line<'static> {
     } else {
         line.push_span(Span::styled(format!("   {messages:.0} msg/s, {kilobytes:.1} kB/s"), FAINT));
     }
+    if view.unreadable > 0 {
+        let words = format!("   unreadable: {} (uorb ls -l says why)", view.unreadable);
+        line.push_span(Span::styled(words, SORTED));
+    }
     line
 }
 
@@ -131,6 +135,14 @@ vehicle_imu             0    1  200     0      1    48     9.6    0
 q quit  n r l s sort  a all  / filter  arrows, PgUp, PgDn scroll
 "
         );
+    }
+
+    #[test]
+    fn nodes_that_cannot_be_read_are_counted() {
+        let mut view = view();
+        view.unreadable = 2;
+        let first = drawn(&mut view, 100, 4);
+        assert!(first.contains(" 81.6 kB/s   unreadable: 2 (uorb ls -l says why)\n"), "{first}");
     }
 
     #[test]

@@ -134,7 +134,7 @@ impl Update {
 
     /// Only what is to be shown.
     pub(super) fn select(mut self, selection: &Selection) -> Self {
-        self.topics.retain(|row| selection.is_meant(row));
+        self.topics.retain(|row| selection.is_named(&row.topic));
         self.num_topics = self.topics.len();
         self.topics.retain(|row| selection.is_shown(row));
         self
@@ -154,8 +154,8 @@ pub(super) struct Selection {
 }
 
 impl Selection {
-    fn is_meant(&self, row: &Row) -> bool {
-        self.filters.is_empty() || self.filters.iter().any(|filter| row.topic.contains(&**filter))
+    pub(super) fn is_named(&self, topic: &str) -> bool {
+        self.filters.is_empty() || self.filters.iter().any(|filter| topic.contains(&**filter))
     }
 
     fn is_shown(&self, row: &Row) -> bool {
@@ -173,13 +173,14 @@ pub(super) enum Column {
 }
 
 /// Sorts rows that are in the order of their names: those that are equal stay
-/// in it. Numbers come largest first, unless it is turned round.
+/// in it, and so do those that look equal, or they would change places with
+/// every update. Numbers come largest first, unless it is turned round.
 pub(super) fn sort(rows: &mut [Row], by: Column, is_turned: bool) {
     rows.sort_by(|a, b| {
         let order = match by {
             Column::Name => (&a.topic, a.instance).cmp(&(&b.topic, b.instance)),
-            Column::Rate => b.rate_hz.total_cmp(&a.rate_hz),
-            Column::Lost => b.lost_per_s.total_cmp(&a.lost_per_s),
+            Column::Rate => b.rate_hz.round().total_cmp(&a.rate_hz.round()),
+            Column::Lost => b.lost_per_s.round().total_cmp(&a.lost_per_s.round()),
             Column::Subscribers => b.subscribers.cmp(&a.subscribers),
         };
         if is_turned { order.reverse() } else { order }
@@ -294,7 +295,7 @@ pub(super) mod tests {
     #[test]
     fn rows_are_sorted_by_a_column_and_by_name_where_it_is_equal() {
         let mut all =
-            rows(&[("a", 0, 1, 10.0, 0.0), ("b", 0, 3, 10.0, 2.0), ("b", 1, 2, 99.0, 0.0)]);
+            rows(&[("a", 0, 1, 9.98, 0.0), ("b", 0, 3, 10.02, 2.0), ("b", 1, 2, 99.0, 0.0)]);
         let mut order = |by, is_turned| {
             sort(&mut all, Column::Name, false);
             sort(&mut all, by, is_turned);

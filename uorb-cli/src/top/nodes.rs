@@ -7,15 +7,18 @@ use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
 
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
-use uorb_core::broker_side::{Node, NodeStatus, Role};
+use uorb_core::broker_side::{Node, NodeStatus};
 use uorb_core::{Error, Instance, System, now_us};
 
-use super::model::{Look, Name, Seen, Stream};
+use super::model::{Look, Name, Seen, Selection, Stream};
+use crate::unreadable::{Looked, Unreadable, look_at};
 
 #[derive(Debug)]
 pub(super) struct Nodes {
     system: System,
     open: BTreeMap<Name, Open>,
+    /// Those that the last look could not read.
+    unreadable: Vec<Unreadable>,
 }
 
 #[derive(Debug)]
@@ -33,7 +36,7 @@ impl Nodes {
         {
             let _ = setrlimit(Resource::RLIMIT_NOFILE, hard, hard);
         }
-        Self { system: system.clone(), open: BTreeMap::new() }
+        Self { system: system.clone(), open: BTreeMap::new(), unreadable: Vec::new() }
     }
 
     /// Whether there is a system, be there nodes or not.
@@ -45,6 +48,7 @@ impl Nodes {
     pub(super) fn look(&mut self) -> Result<Look, Error> {
         let mut look = Look::new();
         let mut before = std::mem::take(&mut self.open);
+        self.unreadable.clear();
         for (topic, instance) in self.system.list_nodes()? {
             let Some(inode) = self.inode(&topic, instance) else { continue };
             let name = Name { topic, instance: instance.number() };
@@ -52,16 +56,24 @@ impl Nodes {
             let kept = before.remove(&name).filter(|open| open.inode == inode);
             let open = match kept {
                 Some(open) => open,
-                None => match Node::open(&self.system, &name.topic, instance, Role::Observer) {
-                    Ok(node) => Open { node, inode },
-                    Err(Error::NoNode { .. }) => continue,
-                    Err(error) => return Err(error),
+                None => match look_at(&self.system, &name.topic, instance)? {
+                    Looked::Open(node) => Open { node: *node, inode },
+                    Looked::Gone => continue,
+                    Looked::Unreadable(node) => {
+                        self.unreadable.push(node);
+                        continue;
+                    }
                 },
             };
             look.insert(name.clone(), open.seen());
             self.open.insert(name, open);
         }
         Ok(look)
+    }
+
+    /// The nodes that the last look could not read, of those that are meant.
+    pub(super) fn unreadable(&self, selection: &Selection) -> Vec<&Unreadable> {
+        self.unreadable.iter().filter(|node| selection.is_named(&node.topic)).collect()
     }
 
     fn inode(&self, topic: &str, instance: Instance) -> Option<u64> {

@@ -26,6 +26,8 @@ const KEYS: &str = "cannot read the keys";
 pub(super) struct View {
     pub(super) update: Update,
     pub(super) selection: Selection,
+    /// How many nodes could not be read.
+    pub(super) unreadable: usize,
     /// The system has ended; another may come.
     pub(super) is_gone: bool,
     pub(super) by: Column,
@@ -102,6 +104,7 @@ impl View {
         Self {
             update: nothing.clone(),
             selection,
+            unreadable: 0,
             is_gone: false,
             by: Column::Name,
             is_turned: false,
@@ -115,6 +118,7 @@ impl View {
     fn look(&mut self, nodes: &mut Nodes, before: Look) -> anyhow::Result<Look> {
         let after = nodes.look()?;
         self.is_gone = !nodes.exist();
+        self.unreadable = nodes.unreadable(&self.selection).len();
         self.take(Update::between(&before, &after));
         Ok(after)
     }

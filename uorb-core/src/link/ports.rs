@@ -67,7 +67,10 @@ impl Link {
             return format!("{} (pid {})", process_name(), std::process::id());
         }
         let path = self.system.peer(peer);
-        let name = std::fs::read_to_string(&path).unwrap_or_else(|_| "a process".into());
+        let name = match std::fs::read_to_string(&path) {
+            Ok(name) if !name.is_empty() => name,
+            _ => "a process".into(),
+        };
         let mut lock = write_lock();
         let file = File::options().read(true).write(true).open(&path);
         let asked = file.map(|file| fcntl(&file, FcntlArg::F_GETLK(&mut lock)));

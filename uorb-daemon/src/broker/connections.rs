@@ -12,7 +12,7 @@ use uorb_core::broker_side::{
     decode, decode_beginning, receive_packet,
 };
 
-use super::nodes::failed;
+use super::nodes::refusal_of;
 use super::streaming::Answer;
 use super::{Broker, Event};
 use crate::connection::{Connection, CutOff};
@@ -185,7 +185,7 @@ impl Broker {
                 let peer = self.registry.join(pid, name.clone())?;
                 if let Err(error) = directory::make_peer_file(&self.system, peer, &name) {
                     self.registry.bury(peer);
-                    return Err(failed(&error));
+                    return Err(refusal_of(&error));
                 }
                 debug!("{name} (pid {pid}) joins as {peer}");
                 peer

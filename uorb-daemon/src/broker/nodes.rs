@@ -68,11 +68,11 @@ impl Broker {
         let Some(metadata) = plan.create else { return Ok(()) };
         let node = self.make_node(&metadata, key.1)?;
         if !plan.give_way.is_empty() {
-            info!(
-                "{}: nobody uses the old layout any more, its {} nodes give way",
-                key.0,
-                plan.give_way.len()
-            );
+            let give_way = match plan.give_way.len() {
+                1 => "its node gives way".into(),
+                count => format!("its {count} nodes give way"),
+            };
+            info!("{}: nobody uses the old layout any more, {give_way}", key.0);
             for old in &plan.give_way {
                 self.discard(old, old != key);
             }
@@ -160,7 +160,7 @@ impl Broker {
 }
 
 /// What the client library could not do, as an answer to a process.
-fn refusal_of(error: &Error) -> Refusal {
+pub(super) fn refusal_of(error: &Error) -> Refusal {
     match error {
         Error::NoSpace { path, needed_bytes } => {
             Refusal::NoSpace { path: path.clone(), needed_bytes: *needed_bytes }
@@ -169,6 +169,6 @@ fn refusal_of(error: &Error) -> Refusal {
     }
 }
 
-pub(super) fn failed(error: &dyn std::fmt::Display) -> Refusal {
+fn failed(error: &dyn std::fmt::Display) -> Refusal {
     Refusal::Failed { what: error.to_string() }
 }

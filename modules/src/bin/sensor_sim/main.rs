@@ -47,11 +47,11 @@ UORB_DIR and UORB_SYSTEM name the system, as for uorb.";
 #[command(name = "sensor_sim", version, after_help = EXAMPLES)]
 struct Arguments {
     /// End after so many seconds
-    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, allow_negative_numbers = true)]
     duration: Option<f64>,
 
     /// Multiply all rates
-    #[arg(long, value_name = "X", value_parser = parse_rate, default_value = "1")]
+    #[arg(long, value_name = "X", value_parser = parse_rate, allow_negative_numbers = true, default_value = "1")]
     rate_scale: f64,
 
     /// What all noise comes from: the same seed, the same flight
