@@ -224,6 +224,22 @@ fn a_large_message_is_borrowed_and_copied() {
     assert_eq!((stream.lost(), newest.lost()), (0, 0));
 }
 
+#[test]
+fn what_an_interval_skips_of_a_large_topic_is_not_lost() {
+    let mut bus = Bus::start();
+    let mut image = bus.advertise::<Image>();
+    let mut paced = bus.subscribe::<Image>();
+    let mut hasty = bus.subscribe::<Image>();
+    paced.set_interval(Duration::from_micros(1));
+    for _ in 0..10 {
+        image.loan().unwrap().publish().unwrap();
+    }
+    let mut copied = Vec::new();
+    assert!((*paced).copy(&mut copied) && (*hasty).copy(&mut copied));
+    assert!(!hasty.updated());
+    assert_eq!((paced.lost(), hasty.lost()), (0, 9));
+}
+
 fn newest_image(bus: &mut Bus) -> Option<u64> {
     let mut late = bus.subscribe_by_name("image");
     let mut copied = Vec::new();

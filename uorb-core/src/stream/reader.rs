@@ -157,7 +157,7 @@ impl Reader {
 
     /// Looks for the message after `cursor`, or, where that is lost, the next
     /// one that is not.
-    pub(crate) fn next(&mut self, node: &Node, cursor: u64) -> Result<Next, Corrupt> {
+    pub(crate) fn next(&mut self, node: &Node, cursor: u64, skips: Skips) -> Result<Next, Corrupt> {
         if let Some(begun) = self.begun.take().filter(|begun| begun.generation == cursor + 1) {
             node.set_received(self.index, begun.generation);
             return Ok(Next::Found(begun));
@@ -169,7 +169,7 @@ impl Reader {
         while wanted <= newest {
             match self.find(node, wanted)? {
                 Place::Here(stamp) => {
-                    self.count_lost(node, wanted - cursor - 1);
+                    self.count_lost(node, wanted - cursor - 1, skips);
                     node.set_received(self.index, wanted);
                     return Ok(Next::Found(Found { generation: wanted, stamp }));
                 }
@@ -184,7 +184,7 @@ impl Reader {
         if lost_up_to == cursor {
             return Ok(Next::NotYet);
         }
-        self.count_lost(node, lost_up_to - cursor);
+        self.count_lost(node, lost_up_to - cursor, skips);
         node.set_received(self.index, lost_up_to);
         Ok(Next::AllLost(lost_up_to))
     }
@@ -337,13 +337,21 @@ impl Reader {
         Stamp { publish_time_us: header.publish_time_us, publisher: header.publisher.into() }
     }
 
-    fn count_lost(&mut self, node: &Node, lost: u64) {
-        if lost > 0 {
+    fn count_lost(&mut self, node: &Node, lost: u64, skips: Skips) {
+        if lost > 0 && skips == Skips::AreLost {
             self.lost += lost;
             node.count_lost(lost);
             node.count_stream_lost(self.index, lost);
         }
     }
+}
+
+/// What it means that messages are not there any more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Skips {
+    AreLost,
+    /// The subscription has an interval, and wanted none of them.
+    AreWanted,
 }
 
 /// Where a message was found.

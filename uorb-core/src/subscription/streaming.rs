@@ -10,7 +10,7 @@ use crate::generation::Generation;
 use crate::node::Node;
 use crate::protocol::{Subject, Subscribe, Wish};
 use crate::stream::depth_max;
-use crate::stream::reader::{Next, Reader};
+use crate::stream::reader::{Next, Reader, Skips};
 use crate::stream_subscription::StreamOptions;
 
 /// How long a newcomer waits for publishers to open their ports, and for the
@@ -85,8 +85,9 @@ impl RawSubscription {
     /// Makes the next message the current one. False: there is nothing new.
     pub(crate) fn advance(&mut self) -> bool {
         let (Some(reader), Some(node)) = (&mut self.reader, &self.node) else { return false };
+        let skips = if self.pace.is_some() { Skips::AreWanted } else { Skips::AreLost };
         let found = loop {
-            match reader.next(node, self.cursor) {
+            match reader.next(node, self.cursor, skips) {
                 Ok(Next::Found(found)) => break Some(found),
                 Ok(Next::AllLost(generation)) => self.cursor = generation,
                 Ok(Next::NotYet) => break None,
