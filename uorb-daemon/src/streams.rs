@@ -126,6 +126,8 @@ struct Kept {
     executor: Option<Executor>,
     /// Foreign publishers seen at the last look: at the second they are told of.
     suspects: HashSet<u128>,
+    /// Those of which the log has a line.
+    named: HashSet<u128>,
 }
 
 fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Reporter) {
@@ -212,8 +214,8 @@ impl Keeper<'_> {
             .transpose()
             .map_err(|why| format!("cannot keep {}{}: iceoryx2 says {why:?}", key.0, key.1))?;
         let foreign = (0, 0);
-        let (executor, suspects) = (None, HashSet::new());
-        let kept = Kept { node, stream, events, newest, foreign, executor, suspects };
+        let (executor, suspects, named) = (None, HashSet::new(), HashSet::new());
+        let kept = Kept { node, stream, events, newest, foreign, executor, suspects, named };
         self.kept.insert(key.clone(), kept);
         Ok(())
     }
@@ -288,7 +290,7 @@ impl Keeper<'_> {
                 // A port of ours is there an instant before its id is known.
                 if !kept.node.has_port_id(id) {
                     strangers.insert(id);
-                    if kept.suspects.contains(&id) && kept.foreign.1 == 0 {
+                    if kept.suspects.contains(&id) && kept.named.insert(id) {
                         let pid = publisher.node_id.pid::<Ipc>().map_or(0, |pid| pid.value());
                         warn!(
                             "{}{}: a foreign program (pid {pid}) publishes on the stream; its \
@@ -299,9 +301,9 @@ impl Keeper<'_> {
                 }
                 CallbackProgression::Continue
             });
-            let publishers = strangers.intersection(&kept.suspects).count() as u64;
+            kept.named.retain(|id| strangers.contains(id));
             kept.suspects = strangers;
-            let foreign = (followers.max(listeners), publishers);
+            let foreign = (followers.max(listeners), kept.named.len() as u64);
             if foreign != kept.foreign {
                 kept.foreign = foreign;
                 reporter.tell(News::Foreign(key.clone(), foreign));
