@@ -20,7 +20,9 @@ use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::service::port_factory::PortFactory;
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use tracing::{debug, warn};
-use uorb_core::broker_side::{Events, Executor, Ipc, Member, Node, Stream, open_stream};
+use uorb_core::broker_side::{
+    Events, Executor, Foreigners, Ipc, Member, Node, Stream, open_stream,
+};
 use uorb_core::{System, UorbHeader, World};
 
 use crate::broker::ring;
@@ -213,7 +215,9 @@ impl Keeper<'_> {
             .then(|| stream.subscriber_builder().buffer_size(1).create())
             .transpose()
             .map_err(|why| format!("cannot keep {}{}: iceoryx2 says {why:?}", key.0, key.1))?;
-        let foreign = (0, 0);
+        // An adopted node has what the broker before us saw.
+        let Foreigners { subscribers, publishers, .. } = node.foreigners();
+        let foreign = (subscribers, publishers);
         let (executor, suspects, named) = (None, HashSet::new(), HashSet::new());
         let kept = Kept { node, stream, events, newest, foreign, executor, suspects, named };
         self.kept.insert(key.clone(), kept);
