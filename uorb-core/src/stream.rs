@@ -21,6 +21,7 @@ mod world;
 use iceoryx2::prelude::{
     Alignment, AttributeSpecifier, AttributeVerifier, ServiceName, ZeroCopySend,
 };
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeCreateError;
 use iceoryx2::service::port_factory;
 
 use crate::layout::Layout;
@@ -174,8 +175,12 @@ pub fn open(
     // One that a foreign program kept over a restart of the broker is opened.
     let stream = match builder().open_with_attributes(&verifier) {
         Ok(stream) => stream,
-        Err(_) if make => {
-            builder().create_with_attributes(&specifier).map_err(|why| failed("make", &why))?
+        Err(not_opened) if make => {
+            builder().create_with_attributes(&specifier).map_err(|why| match why {
+                // A foreign program has kept one of another layout.
+                PublishSubscribeCreateError::AlreadyExists => failed("open", &not_opened),
+                why => failed("make", &why),
+            })?
         }
         Err(why) => return Err(failed("open", &why)),
     };
