@@ -156,7 +156,7 @@ impl Broker {
                     let before = std::mem::replace(&mut streaming.foreign, foreign);
                     if foreign.0 != before.0 {
                         info!(
-                            "{}{}: {} foreign programs follow the stream",
+                            "{}{}: foreign programs that follow the stream: {}",
                             key.0, key.1, foreign.0
                         );
                     }
