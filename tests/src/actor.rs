@@ -8,7 +8,7 @@ use std::io::{BufRead, BufReader, stdin};
 use std::os::fd::AsFd;
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{
@@ -16,6 +16,7 @@ use uorb_core::{
     Publication, QueueLength, RawPublication, RawSubscription, Session, Subscription, System, poll,
     topic,
 };
+use uorb_msg::SensorAccel;
 use uorb_tests::{PATIENCE, Plain, Stamped, program};
 
 fn main() -> ExitCode {
@@ -37,6 +38,7 @@ fn main() -> ExitCode {
         ["wait-and-hold", count] => wait_and_hold(number(count)),
         ["hold-and-drop", count] => hold_and_drop(number(count)),
         ["hot-path"] => hot_path(),
+        ["publish-accel"] => publish_accel(),
         ["fill-small-memory"] => fill_small_memory(),
         other => panic!("no such actor: {other:?}"),
     };
@@ -320,6 +322,71 @@ fn hold_and_drop(count: u64) -> Result<(), Error> {
     Ok(())
 }
 
+/// Publishes an acceleration each millisecond until its input ends. Those of no
+/// interest have number 0. Where it hears a number, so many of the next are
+/// numbered from 1; where it hears `marks` and a number, it publishes so many
+/// flat out between two marks that a tracer can see.
+fn publish_accel() -> Result<(), Error> {
+    const PERIOD: Duration = Duration::from_millis(1);
+    let session = Session::connect()?;
+    let mut publication = Publication::<SensorAccel>::advertise(&session)?;
+    println!("advertised");
+    let (mut next, mut last) = (1, 0);
+    let mut due = Instant::now();
+    let input = stdin();
+    loop {
+        due += PERIOD;
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        let this = if next <= last { next } else { 0 };
+        next += u64::from(this > 0);
+        publication.publish(&accel(this))?;
+        if this > 0 && this == last {
+            println!("published {last}");
+        }
+        let mut ready = [PollFd::new(input.as_fd(), PollFlags::POLLIN)];
+        if nix::poll::poll(&mut ready, PollTimeout::ZERO).is_ok_and(|ready| ready == 0) {
+            continue;
+        }
+        let Some(line) = heard() else { return Ok(()) };
+        match line.trim().split_once(' ') {
+            None => (next, last) = (1, number(line.trim())),
+            Some((_, count)) => {
+                nix::unistd::getppid();
+                for _ in 0..number(count) {
+                    publication.publish(&accel(0))?;
+                }
+                nix::unistd::getppid();
+            }
+        }
+    }
+}
+
+/// The message of this number. All of it but the time follows from the number,
+/// so that a torn message cannot look whole; `tests/foreign/actor.py` knows it.
+fn accel(number: u64) -> SensorAccel {
+    let float = |i: u64| ((number * 31 + i * 7_919) % (1 << 20)) as f32;
+    let raw = |i: u64| ((number * 3 + i * 101) % (1 << 15)) as i16;
+    SensorAccel {
+        timestamp: uorb_core::now_us(),
+        integral_dt: number.wrapping_mul(0x9e37_79b9_7f4a_7c15),
+        error_count: number,
+        x: float(0),
+        y: float(1),
+        z: float(2),
+        x_integral: float(3),
+        y_integral: float(4),
+        z_integral: float(5),
+        temperature: float(6),
+        range_m_s2: float(7),
+        scaling: float(8),
+        device_id: number.wrapping_mul(2_654_435_761) as u32,
+        x_raw: raw(0),
+        y_raw: raw(1),
+        z_raw: raw(2),
+        temperature_raw: raw(3),
+    }
+}
+
 /// Counts what is allocated, for `hot-path`.
 struct CountingAllocator;
 
@@ -357,6 +424,8 @@ fn hot_path() -> Result<(), Error> {
         Ok(())
     };
     round(0)?;
+    println!("ready");
+    heard();
     let before = ALLOCATIONS.load(Ordering::Relaxed);
     nix::unistd::getppid();
     for count in 1..=1_000 {
