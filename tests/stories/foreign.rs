@@ -52,6 +52,30 @@ fn a_foreign_program_receives_every_message_of_a_sensor() {
 }
 
 #[test]
+fn the_program_in_the_documentation_follows_a_sensor() {
+    let Some(python) = Python::with_iceoryx2() else { return };
+    let document = include_str!("../../docs/joining-from-iceoryx2.md");
+    let text = document.split("```python\n").nth(1).and_then(|rest| rest.split("```").next());
+    let bus = Bus::start();
+    let mut publisher = publisher(&bus);
+    let mut follower = python.spawn_text(&bus, text.expect("it has a program"));
+    let first = follower.line().expect("a line for each message");
+    assert!(first.ends_with(" us: 0.0 7919.0 15838.0"), "{first}");
+
+    publisher.say("100");
+
+    // x, y and z of message 100.
+    let is_last = |line: &str| line.ends_with(" us: 3100.0 11019.0 18938.0");
+    while let Some(line) = follower.line() {
+        assert!(!line.starts_with("lost"), "{line}");
+        if is_last(&line) {
+            return;
+        }
+    }
+    panic!("it has ended");
+}
+
+#[test]
 fn a_foreign_program_that_joins_a_large_topic_has_its_newest_message() {
     let Some(python) = Python::with_iceoryx2() else { return };
     let mut bus = Bus::start();
