@@ -9,8 +9,8 @@ use std::io::{BufRead, BufReader, Write, stdin};
 use std::os::fd::AsFd;
 use std::path::Path;
 use std::process::{Command, ExitCode, Output, Stdio};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use nix::mount::{MsFlags, mount};
 use nix::poll::{PollFd, PollFlags, PollTimeout};
@@ -19,6 +19,7 @@ use uorb_core::{
     Publication, QueueLength, RawPublication, RawSubscription, Session, StreamSubscription,
     Subscription, System, poll, topic,
 };
+use uorb_msg::SensorAccel;
 use uorb_tests::{PATIENCE, Plain, Stamped, program, raise_descriptor_limit};
 
 fn main() -> ExitCode {
@@ -42,6 +43,7 @@ fn main() -> ExitCode {
         ["hold-and-drop", count] => hold_and_drop(number(count)),
         ["hot-path"] => hot_path(),
         ["hot-path-of-a-stream"] => hot_path_of_a_stream(),
+        ["publish-accel"] => publish_accel(),
         ["fill-small-memory"] => fill_small_memory(),
         other => panic!("no such actor: {other:?}"),
     };
@@ -325,6 +327,71 @@ fn hold_and_drop(count: u64) -> Result<(), Error> {
     Ok(())
 }
 
+/// Publishes an acceleration each millisecond until its input ends. Those of no
+/// interest have number 0. Where it hears a number, so many of the next are
+/// numbered from 1; where it hears `marks` and a number, it publishes so many
+/// flat out between two marks that a tracer can see.
+fn publish_accel() -> Result<(), Error> {
+    const PERIOD: Duration = Duration::from_millis(1);
+    let session = Session::connect()?;
+    let mut publication = Publication::<SensorAccel>::advertise(&session)?;
+    println!("advertised");
+    let (mut next, mut last) = (1, 0);
+    let mut due = Instant::now();
+    let input = stdin();
+    loop {
+        due += PERIOD;
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        let this = if next <= last { next } else { 0 };
+        next += u64::from(this > 0);
+        publication.publish(&accel(this))?;
+        if this > 0 && this == last {
+            println!("published {last}");
+        }
+        let mut ready = [PollFd::new(input.as_fd(), PollFlags::POLLIN)];
+        if nix::poll::poll(&mut ready, PollTimeout::ZERO).is_ok_and(|ready| ready == 0) {
+            continue;
+        }
+        let Some(line) = heard() else { return Ok(()) };
+        match line.trim().split_once(' ') {
+            None => (next, last) = (1, number(line.trim())),
+            Some((_, count)) => {
+                nix::unistd::getppid();
+                for _ in 0..number(count) {
+                    publication.publish(&accel(0))?;
+                }
+                nix::unistd::getppid();
+            }
+        }
+    }
+}
+
+/// The message of this number. All of it but the time follows from the number,
+/// so that a torn message cannot look whole; `tests/foreign/actor.py` knows it.
+fn accel(number: u64) -> SensorAccel {
+    let float = |i: u64| ((number * 31 + i * 7_919) % (1 << 20)) as f32;
+    let raw = |i: u64| ((number * 3 + i * 101) % (1 << 15)) as i16;
+    SensorAccel {
+        timestamp: uorb_core::now_us(),
+        integral_dt: number.wrapping_mul(0x9e37_79b9_7f4a_7c15),
+        error_count: number,
+        x: float(0),
+        y: float(1),
+        z: float(2),
+        x_integral: float(3),
+        y_integral: float(4),
+        z_integral: float(5),
+        temperature: float(6),
+        range_m_s2: float(7),
+        scaling: float(8),
+        device_id: number.wrapping_mul(2_654_435_761) as u32,
+        x_raw: raw(0),
+        y_raw: raw(1),
+        z_raw: raw(2),
+        temperature_raw: raw(3),
+    }
+}
+
 /// Counts what is allocated, for `hot-path`.
 struct CountingAllocator;
 
@@ -362,6 +429,8 @@ fn hot_path() -> Result<(), Error> {
         Ok(())
     };
     round(0)?;
+    println!("ready");
+    heard();
     let before = ALLOCATIONS.load(Ordering::Relaxed);
     nix::unistd::getppid();
     for count in 1..=1_000 {
@@ -373,34 +442,46 @@ fn hot_path() -> Result<(), Error> {
 }
 
 /// Publishes while a thread begins to follow the stream, then to that follower;
-/// the marks are as in `hot_path`.
+/// the marks are as in `hot_path`, around each of the two.
 fn hot_path_of_a_stream() -> Result<(), Error> {
     let session = Session::connect()?;
     let mut stamped = Publication::<Stamped>::advertise(&session)?;
     let message = Stamped::new(0, 1);
     stamped.publish(&message)?;
-    let follow = {
-        let session = session.clone();
-        move || StreamSubscription::<Stamped>::subscribe(&session)
-    };
-    nix::unistd::getppid();
-    let follower = std::thread::spawn(follow);
-    while !follower.is_finished() {
+    let may_join = AtomicBool::new(false);
+    std::thread::scope(|threads| {
+        let follower = threads.spawn(|| {
+            while !may_join.load(Ordering::Relaxed) {
+                std::thread::yield_now();
+            }
+            StreamSubscription::<Stamped>::subscribe(&session)
+        });
+        println!("ready");
+        heard();
+        nix::unistd::getppid();
+        may_join.store(true, Ordering::Relaxed);
+        while !follower.is_finished() {
+            stamped.publish(&message)?;
+        }
         stamped.publish(&message)?;
-    }
-    nix::unistd::getppid();
-    let mut follower = follower.join().expect("it does not panic")?;
-    stamped.publish(&message)?;
-    while follower.update().is_some() {}
-    let before = ALLOCATIONS.load(Ordering::Relaxed);
-    nix::unistd::getppid();
-    for _ in 0..1_000 {
+        nix::unistd::getppid();
+        let mut follower = follower.join().expect("it does not panic")?;
+        while follower.update().is_some() {}
+        // What its first message from a port makes it note, it notes once.
         stamped.publish(&message)?;
-        assert!(follower.update().is_some_and(Stamped::is_whole));
-    }
-    nix::unistd::getppid();
-    println!("allocations {}", ALLOCATIONS.load(Ordering::Relaxed) - before);
-    Ok(())
+        assert!(follower.update().is_some());
+        println!("joined");
+        heard();
+        let before = ALLOCATIONS.load(Ordering::Relaxed);
+        nix::unistd::getppid();
+        for _ in 0..1_000 {
+            stamped.publish(&message)?;
+            assert!(follower.update().is_some_and(Stamped::is_whole));
+        }
+        nix::unistd::getppid();
+        println!("allocations {}", ALLOCATIONS.load(Ordering::Relaxed) - before);
+        Ok(())
+    })
 }
 
 /// In a mount namespace of its own, with 64 MiB of memory for the bus: makes

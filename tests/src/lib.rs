@@ -7,7 +7,9 @@
 
 mod foreigner;
 mod process;
+mod python;
 mod stranger;
+mod tracing;
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -26,7 +28,9 @@ use uorb_core::{
 
 pub use self::foreigner::Foreigner;
 pub use self::process::{Actor, Ended, is_running};
+pub use self::python::Python;
 pub use self::stranger::Stranger;
+pub use self::tracing::calls_between_marks;
 use crate::process::lock_holder;
 
 topic! {
@@ -248,6 +252,14 @@ impl Bus {
     pub fn processes(&self) -> Vec<u32> {
         let peers = fs::read_dir(self.system.peers()).into_iter().flatten();
         peers.filter_map(|peer| lock_holder(&peer.ok()?.path())).collect()
+    }
+
+    /// The number that the broker has given to a process.
+    pub fn peer_of(&self, pid: u32) -> u16 {
+        let peers = fs::read_dir(self.system.peers()).into_iter().flatten().flatten();
+        let mut its = peers.filter(|peer| lock_holder(&peer.path()) == Some(pid));
+        let peer = its.next().expect("it is on this bus").file_name();
+        peer.to_str().and_then(|name| name.parse().ok()).expect("its file is its number")
     }
 
     /// A command with this bus in its environment.

@@ -14,6 +14,8 @@ mod deaths;
 mod descriptors;
 /// Real flight logs.
 mod flight_logs;
+/// Programs of another house, which join by iceoryx2.
+mod foreign;
 /// What publish and copy never do.
 mod hot_path;
 /// Instances: who gets which.

@@ -18,7 +18,10 @@ pub(crate) mod reader;
 mod room;
 mod world;
 
-use iceoryx2::prelude::{AttributeSpecifier, AttributeVerifier, ServiceName, ZeroCopySend};
+use iceoryx2::prelude::{
+    Alignment, AttributeSpecifier, AttributeVerifier, ServiceName, ZeroCopySend,
+};
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeCreateError;
 use iceoryx2::service::port_factory;
 
 use crate::layout::Layout;
@@ -82,6 +85,9 @@ const LOANED_MAX: usize = 2;
 
 /// iceoryx2's header, and ours.
 const HEADERS_BYTES: usize = 48 + size_of::<UorbHeader>();
+
+/// Messages begin where any field may: foreign publishers keep to it, too.
+const ALIGNMENT_BYTES: usize = align_of::<u64>();
 
 /// The deepest queue of a stream with messages of this size: 1,024 messages, or
 /// as many as 16 MiB hold, but at least 2.
@@ -150,12 +156,14 @@ pub fn open(
         verifier = verifier.require(&key, &value).map_err(|why| failed("describe", &why))?;
         specifier = specifier.define(&key, &value).map_err(|why| failed("describe", &why))?;
     }
+    let alignment = Alignment::new(ALIGNMENT_BYTES).expect("a power of two");
     let builder = || {
         member
             .node
             .service_builder(&service_name)
             .publish_subscribe::<[u8]>()
             .user_header::<UorbHeader>()
+            .payload_alignment(alignment)
             .max_subscribers(STREAMS_MAX + 1)
             .max_publishers(PORTS_MAX)
             .max_nodes(MEMBERS_MAX)
@@ -167,8 +175,12 @@ pub fn open(
     // One that a foreign program kept over a restart of the broker is opened.
     let stream = match builder().open_with_attributes(&verifier) {
         Ok(stream) => stream,
-        Err(_) if make => {
-            builder().create_with_attributes(&specifier).map_err(|why| failed("make", &why))?
+        Err(not_opened) if make => {
+            builder().create_with_attributes(&specifier).map_err(|why| match why {
+                // A foreign program has kept one of another layout.
+                PublishSubscribeCreateError::AlreadyExists => failed("open", &not_opened),
+                why => failed("make", &why),
+            })?
         }
         Err(why) => return Err(failed("open", &why)),
     };

@@ -20,7 +20,9 @@ use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::service::port_factory::PortFactory;
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use tracing::{debug, warn};
-use uorb_core::broker_side::{Events, Executor, Ipc, Member, Node, Stream, open_stream};
+use uorb_core::broker_side::{
+    Events, Executor, Foreigners, Ipc, Member, Node, Stream, open_stream,
+};
 use uorb_core::{System, UorbHeader, World};
 
 use crate::broker::ring;
@@ -126,6 +128,8 @@ struct Kept {
     executor: Option<Executor>,
     /// Foreign publishers seen at the last look: at the second they are told of.
     suspects: HashSet<u128>,
+    /// Those of which the log has a line.
+    named: HashSet<u128>,
 }
 
 fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Reporter) {
@@ -211,9 +215,11 @@ impl Keeper<'_> {
             .then(|| stream.subscriber_builder().buffer_size(1).create())
             .transpose()
             .map_err(|why| format!("cannot keep {}{}: iceoryx2 says {why:?}", key.0, key.1))?;
-        let foreign = (0, 0);
-        let (executor, suspects) = (None, HashSet::new());
-        let kept = Kept { node, stream, events, newest, foreign, executor, suspects };
+        // An adopted node has what the broker before us saw.
+        let Foreigners { subscribers, publishers, .. } = node.foreigners();
+        let foreign = (subscribers, publishers);
+        let (executor, suspects, named) = (None, HashSet::new(), HashSet::new());
+        let kept = Kept { node, stream, events, newest, foreign, executor, suspects, named };
         self.kept.insert(key.clone(), kept);
         Ok(())
     }
@@ -288,7 +294,7 @@ impl Keeper<'_> {
                 // A port of ours is there an instant before its id is known.
                 if !kept.node.has_port_id(id) {
                     strangers.insert(id);
-                    if kept.suspects.contains(&id) && kept.foreign.1 == 0 {
+                    if kept.suspects.contains(&id) && kept.named.insert(id) {
                         let pid = publisher.node_id.pid::<Ipc>().map_or(0, |pid| pid.value());
                         warn!(
                             "{}{}: a foreign program (pid {pid}) publishes on the stream; its \
@@ -299,9 +305,9 @@ impl Keeper<'_> {
                 }
                 CallbackProgression::Continue
             });
-            let publishers = strangers.intersection(&kept.suspects).count() as u64;
+            kept.named.retain(|id| strangers.contains(id));
             kept.suspects = strangers;
-            let foreign = (followers.max(listeners), publishers);
+            let foreign = (followers.max(listeners), kept.named.len() as u64);
             if foreign != kept.foreign {
                 kept.foreign = foreign;
                 reporter.tell(News::Foreign(key.clone(), foreign));

@@ -160,6 +160,11 @@ impl Node {
         self.stream_word(index, 1).fetch_add(lost, Ordering::Relaxed);
     }
 
+    /// Whether the broker has seen a foreign publisher: one load.
+    pub(crate) fn has_foreign_publishers(&self) -> bool {
+        self.counts.words()[counts::FOREIGN_PUBLISHERS].load(Ordering::Relaxed) != 0
+    }
+
     /// Counts a message of a foreign publisher, which was dropped.
     #[cold]
     pub(crate) fn count_foreign(&self) {

@@ -171,6 +171,9 @@ impl Reader {
                 Place::Here(stamp) => {
                     self.count_lost(node, wanted - cursor - 1, skips);
                     node.set_received(self.index, wanted);
+                    if wanted == newest && node.has_foreign_publishers() {
+                        self.drop_foreign(node, newest);
+                    }
                     return Ok(Next::Found(Found { generation: wanted, stamp }));
                 }
                 Place::OnItsWay => {
@@ -306,6 +309,18 @@ impl Reader {
                 return Some((newest.saturating_sub(behind.into()), sample));
             }
             node.count_foreign();
+        }
+    }
+
+    /// Receives what foreign publishers have sent, so that it is counted: while
+    /// there are messages of ours, those are all that is received. What of ours
+    /// has come since is put aside for its turn.
+    #[cold]
+    fn drop_foreign(&mut self, node: &Node, newest: u64) {
+        while let Some((generation, sample)) = self.receive(node, newest) {
+            if generation > newest {
+                self.early.insert(generation, sample);
+            }
         }
     }
 

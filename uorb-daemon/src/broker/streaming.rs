@@ -3,7 +3,7 @@
 //! what they need.
 
 use tracing::{info, warn};
-use uorb_core::broker_side::{FromBroker, Refusal, Reply, Wish};
+use uorb_core::broker_side::{Foreigners, FromBroker, Refusal, Reply, Wish};
 
 use super::Broker;
 use crate::registry::NodeKey;
@@ -38,7 +38,11 @@ impl Broker {
     pub(super) fn make_stream(&mut self, key: &NodeKey) {
         let Some(node) = self.nodes.get(key) else { return };
         self.order(Order::Make(key.clone(), node.clone()));
-        self.streaming.insert(key.clone(), Streaming::default());
+        // Whoever followed an adopted node's stream is believed to do so still,
+        // until the thread has looked: else publishers would pause for that long.
+        let Foreigners { subscribers, publishers, .. } = node.foreigners();
+        let streaming = Streaming { foreign: (subscribers, publishers), ..Streaming::default() };
+        self.streaming.insert(key.clone(), streaming);
     }
 
     /// A node gave way: so does its stream.
@@ -110,13 +114,14 @@ impl Broker {
 
     /// A publisher has been granted: it is told if somebody follows already.
     pub(super) fn tell_new_publisher(&mut self, key: &NodeKey, peer: u16, handle: u32) {
-        let has_followers = self.registry.streams(key).iter().any(Option::is_some);
-        let is_made = |made: &Streaming| made.made == Some(Ok(()));
-        let streaming = self.streaming.get(key);
-        let is_followed = has_followers || streaming.is_some_and(|made| made.foreign.0 > 0);
-        if is_followed && streaming.is_some_and(is_made) {
+        if self.is_followed(key) && self.has_stream(key) {
             self.tell_publisher(peer, handle);
         }
+    }
+
+    /// Whether somebody follows a stream: one of ours, or a foreign program.
+    fn is_followed(&self, key: &NodeKey) -> bool {
+        self.registry.streams(key).iter().any(Option::is_some) || self.foreign(key).0 > 0
     }
 
     /// A publisher has its port, or could not open it.
@@ -151,7 +156,7 @@ impl Broker {
                     let before = std::mem::replace(&mut streaming.foreign, foreign);
                     if foreign.0 != before.0 {
                         info!(
-                            "{}{}: {} foreign programs follow the stream",
+                            "{}{}: foreign programs that follow the stream: {}",
                             key.0, key.1, foreign.0
                         );
                     }
@@ -178,8 +183,7 @@ impl Broker {
             self.send(number, &FromBroker::Reply { number: request_number, reply });
         }
         // Those who followed before a restart of the broker have their queues.
-        let followed = self.registry.streams(&key).iter().any(Option::is_some);
-        if made.is_ok() && followed {
+        if made.is_ok() && self.is_followed(&key) {
             self.tell_publishers(&key);
         }
     }

@@ -1,0 +1,120 @@
+//! Foreign programs: Python with iceoryx2 from PyPI, and nothing of ours.
+//!
+//! The virtual environment that they need is made once and kept beside the
+//! programs of this workspace, in cargo's target directory. Where it cannot be
+//! made, because Python or PyPI is out of reach, the stories about foreign
+//! programs say so and pass.
+
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+use nix::fcntl::{Flock, FlockArg};
+use uorb_core::{Instance, World, broker_side::service_name};
+
+use crate::{Actor, Bus, program};
+
+/// Of one release with the iceoryx2 that this workspace uses: programs of
+/// different ones do not meet.
+const PACKAGE: &str = "iceoryx2==0.10.0";
+
+/// How long what could not be had is not asked for again.
+const REFUSAL_HOLDS: Duration = Duration::from_secs(600);
+
+/// The program that `tests/foreign/actor.py` is.
+const ACTOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/actor.py");
+
+/// A Python that can be an iceoryx2 program.
+#[derive(Debug)]
+pub struct Python {
+    interpreter: PathBuf,
+}
+
+impl Python {
+    /// Makes the environment, if nobody has. None where that is not possible:
+    /// then it has said why.
+    pub fn with_iceoryx2() -> Option<Self> {
+        match environment() {
+            Ok(interpreter) => Some(Self { interpreter }),
+            Err(why) => {
+                eprintln!("skipped: Python with {PACKAGE} cannot be had here: {why}");
+                None
+            }
+        }
+    }
+
+    /// Spawns a program's text as on a shell with this bus, that has `uorb`.
+    pub fn spawn_text(&self, bus: &Bus, text: &str) -> Actor {
+        // As all actors it ends with the story (PR_SET_PDEATHSIG, SIGKILL).
+        let text = format!("import ctypes; ctypes.CDLL(None).prctl(1, 9)\n{text}");
+        let path = std::env::var_os("PATH").unwrap_or_default();
+        let paths = programs().into_iter().chain(std::env::split_paths(&path));
+        let mut command = bus.command(&self.interpreter);
+        command.env("PATH", std::env::join_paths(paths).expect("they were joined before"));
+        command.args(["-c", &text]);
+        Actor::spawn(command)
+    }
+
+    /// Spawns `actor.py` in a mode, on instance 0 of a topic's stream.
+    pub fn spawn(&self, bus: &Bus, mode: &str, topic: &str, arguments: &[&str]) -> Actor {
+        let World { prefix, root } = World::of(&bus.system);
+        let service = service_name(&bus.system, topic, Instance::FIRST);
+        let mut command = Command::new(&self.interpreter);
+        // Without -B it would leave files beside the program.
+        command.args(["-B", ACTOR, mode, &prefix]).arg(root).arg(service).args(arguments);
+        Actor::spawn(command)
+    }
+}
+
+/// The directory of the programs of this workspace.
+fn programs() -> Option<PathBuf> {
+    program("uorbd").parent().map(Path::to_path_buf)
+}
+
+/// The interpreter of the environment, or what could not be had.
+fn environment() -> Result<PathBuf, String> {
+    let programs = programs().expect("there is a broker to be tested");
+    let environment = programs.join("foreign-python");
+    let interpreter = environment.join("bin/python");
+    // Written last: what was left half-made does not count.
+    let ready = environment.join("ready");
+
+    // Stories run side by side, each in a process: one makes it, others wait.
+    let lock = File::create(programs.join("foreign-python.lock")).expect("a file beside ours");
+    let _lock = Flock::lock(lock, FlockArg::LockExclusive).expect("it can be locked");
+    if fs::read(&ready).is_ok_and(|made_of| made_of == PACKAGE.as_bytes()) {
+        return Ok(interpreter);
+    }
+    // Each story would wait for PyPI in vain.
+    let refused = programs.join("foreign-python.refused");
+    let refused_at = fs::metadata(&refused).and_then(|file| file.modified());
+    if refused_at.is_ok_and(|at| at.elapsed().is_ok_and(|since| since < REFUSAL_HOLDS)) {
+        return Err(fs::read_to_string(refused).unwrap_or_default());
+    }
+    make(&environment, &interpreter).inspect_err(|why| _ = fs::write(&refused, why))?;
+    fs::write(&ready, PACKAGE).expect("a file in a directory of ours");
+    Ok(interpreter)
+}
+
+fn make(environment: &Path, interpreter: &Path) -> Result<(), String> {
+    let _ = fs::remove_dir_all(environment);
+    run(Path::new("python3"), &["-m".as_ref(), "venv".as_ref(), environment.as_ref()])?;
+    let install = ["-m", "pip", "install", "--quiet", "--no-cache-dir", "--retries", "1", PACKAGE];
+    run(interpreter, &install.map(OsStr::new))
+}
+
+/// Runs a command to its end. What it says is heard if it fails.
+fn run(program: &Path, arguments: &[&OsStr]) -> Result<(), String> {
+    let name = program.display();
+    let ended =
+        Command::new(program).args(arguments).output().map_err(|why| format!("{name}: {why}"))?;
+    if ended.status.success() {
+        return Ok(());
+    }
+    let words = [ended.stdout, ended.stderr].concat();
+    let words = String::from_utf8_lossy(&words);
+    let last = words.lines().map(str::trim).rfind(|line| !line.is_empty());
+    Err(format!("{name} says {:?}", last.unwrap_or("nothing")))
+}
