@@ -41,7 +41,6 @@ class Stream:
             self.node.service_builder(self.name)
             .publish_subscribe(iox2.Slice[ctypes.c_uint8])
             .user_header(UorbHeader)
-            .payload_alignment(iox2.Alignment.new(8))
             .open()
         )
 
