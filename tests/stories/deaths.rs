@@ -516,3 +516,34 @@ fn a_grant_whose_node_is_gone_with_the_system_says_that_it_has_ended() {
         drop(player.join().unwrap());
     }
 }
+
+#[test]
+fn a_broker_that_was_killed_while_it_made_a_stream_does_not_stop_the_next_one() {
+    let mut bus = Bus::start();
+    drop(bus.stream::<Plain>());
+    let mut bus = bus.without_session();
+    // Somebody who lives, so that the next broker adopts what is there.
+    let mut survivor = bus.spawn(&["claim", "75"]);
+    survivor.expect("ready");
+    bus.kill_broker();
+    // As after the first of two system calls that make a file of a size.
+    let prefix = World::of(&bus.system).prefix;
+    let names = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let begins = |entry: &std::fs::DirEntry| {
+        let name = entry.file_name().into_string().unwrap();
+        name.starts_with(&prefix) && name.ends_with(".dynamic")
+    };
+    let made: Vec<_> = names.filter(begins).map(|entry| entry.path()).collect();
+    assert!(!made.is_empty());
+    for path in made {
+        std::fs::File::create(path).unwrap();
+    }
+
+    bus.start_broker();
+
+    let mut plain = bus.advertise::<Plain>();
+    let mut stream = bus.stream::<Plain>();
+    plain.publish(&Plain { value: 1 }).unwrap();
+    assert_eq!(stream.update(), Some(&Plain { value: 1 }));
+    bus.stop();
+}

@@ -133,12 +133,15 @@ struct Kept {
 }
 
 fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Reporter) {
+    // Before anything is opened there: it might be waited for without end.
+    world.remove_unfinished();
     let member = world.join("uorbd");
     if let Err(why) = &member {
         warn!("there are no streams: {why}");
     }
     let mut keeper = Keeper {
         system,
+        world,
         member,
         kept: BTreeMap::new(),
         ours: HashSet::from([std::process::id()]),
@@ -169,6 +172,7 @@ fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Rep
 
 struct Keeper<'s> {
     system: &'s System,
+    world: &'s World,
     member: Result<Member, String>,
     kept: BTreeMap<NodeKey, Kept>,
     /// Processes of ours, and this one.
@@ -260,6 +264,7 @@ impl Keeper<'_> {
 
     fn clean_up(&mut self) {
         if let Ok(member) = &self.member {
+            self.world.remove_unfinished();
             member.node.try_cleanup_dead_nodes();
         }
         self.cleaned = Instant::now();

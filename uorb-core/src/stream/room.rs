@@ -9,11 +9,9 @@
 use nix::errno::Errno;
 use nix::sys::statvfs::statvfs;
 
+use super::world::SHM;
 use crate::error::Error;
 use crate::mapping::page_bytes;
-
-/// Where iceoryx2 has its files.
-const SHM: &str = "/dev/shm";
 
 /// What the files of a port and its connections take besides the messages.
 const OVERHEAD_BYTES: u64 = 1 << 20;

@@ -8,7 +8,9 @@
 
 use std::fmt;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
@@ -22,6 +24,17 @@ use crate::system::System;
 /// iceoryx2 makes file names of a prefix, a root and 136 characters more, of
 /// which no file system takes more than 255 together.
 const LENGTH_MAX_BYTES: usize = 119;
+
+/// Where iceoryx2 has its files.
+pub(super) const SHM: &str = "/dev/shm";
+
+/// What iceoryx2 puts between the prefix and the rest of a name.
+const HASH_DIGITS: usize = 40;
+
+/// How long a file may take to get its size, and how often it is looked at. What
+/// takes longer belongs to somebody who was killed.
+const UNFINISHED_MAX: Duration = Duration::from_secs(1);
+const UNFINISHED_PAUSE: Duration = Duration::from_millis(10);
 
 /// A world of iceoryx2.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -100,6 +113,53 @@ impl World {
         Ok(Member { node })
     }
 
+    /// Removes what in shared memory was begun and never finished: a file is made
+    /// first, and given a size then, and somebody was killed between the two.
+    /// iceoryx2 0.10 waits for the size for ever, whoever opens the file, and so
+    /// does its own cleaning up.
+    ///
+    /// What is younger than a second may still be finished, and is waited for.
+    pub fn remove_unfinished(&self) {
+        let deadline = Instant::now() + UNFINISHED_MAX + UNFINISHED_PAUSE;
+        loop {
+            let (old, young): (Vec<_>, Vec<_>) =
+                self.unfinished().into_iter().partition(|(_, age)| *age >= UNFINISHED_MAX);
+            old.into_iter().for_each(|(path, _)| _ = fs::remove_file(path));
+            if young.is_empty() || Instant::now() >= deadline {
+                return;
+            }
+            thread::sleep(UNFINISHED_PAUSE);
+        }
+    }
+
+    /// The files without a size, and how old they are. Only of this world: the
+    /// default one's prefix begins those of others, too, but what follows it is
+    /// a hash.
+    fn unfinished(&self) -> Vec<(PathBuf, Duration)> {
+        let is_of_this_world = |path: &PathBuf| {
+            let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+            let hash = name.get(self.prefix.len()..).and_then(|rest| rest.get(..HASH_DIGITS + 1));
+            hash.is_some_and(|hash| {
+                hash.ends_with(b"_") && hash[..HASH_DIGITS].iter().all(u8::is_ascii_hexdigit)
+            })
+        };
+        let unfinished = |path: PathBuf| {
+            let file = fs::metadata(&path).ok()?;
+            let age = file.modified().ok()?.elapsed().unwrap_or_default();
+            (file.len() == 0).then_some((path, age))
+        };
+        self.names().filter(is_of_this_world).filter_map(unfinished).collect()
+    }
+
+    /// What the world has in shared memory.
+    fn names(&self) -> impl Iterator<Item = PathBuf> {
+        let entries = fs::read_dir(SHM).into_iter().flatten().flatten();
+        let is_ours = |entry: &fs::DirEntry| {
+            entry.file_name().as_encoded_bytes().starts_with(self.prefix.as_bytes())
+        };
+        entries.filter(is_ours).map(|entry| entry.path())
+    }
+
     /// Removes all that a private world has left: nobody uses it any more, or
     /// whoever does has mapped what it needs.
     pub fn remove(&self) {
@@ -107,11 +167,7 @@ impl World {
             return;
         }
         let _ = fs::remove_dir_all(&self.root);
-        for entry in fs::read_dir(Path::new("/dev/shm")).into_iter().flatten().flatten() {
-            if entry.file_name().as_encoded_bytes().starts_with(self.prefix.as_bytes()) {
-                let _ = fs::remove_file(entry.path());
-            }
-        }
+        self.names().for_each(|path| _ = fs::remove_file(path));
     }
 }
 
