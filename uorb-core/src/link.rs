@@ -1,6 +1,6 @@
 //! The connection to the broker, and the thread that keeps it up.
 //!
-//! The thread sleeps on the socket and hands each answer to whoever waits for
+//! The thread (`link/thread.rs`) sleeps on the socket and hands each answer to whoever waits for
 //! it. When the broker dies it waits for the next one, joins it under the same
 //! peer number, names again what the process holds, and asks again what was not
 //! answered: every request can be asked twice with the same result. Handles
@@ -12,39 +12,37 @@
 
 #![allow(unsafe_code)]
 
+mod joining;
 mod ports;
+mod thread;
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io;
-use std::os::fd::{AsFd, AsRawFd, OwnedFd};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::fd::{AsRawFd, OwnedFd};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, Once, OnceLock, PoisonError, Weak};
-use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
-use nix::errno::Errno;
-use nix::fcntl::{FcntlArg, fcntl};
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::{EfdFlags, EventFd};
-use nix::sys::signal::{SigSet, SigmaskHow, pthread_sigmask};
-use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt};
-use nix::unistd::geteuid;
+use nix::sys::socket::{Shutdown, shutdown};
+
+use joining::{connect_patiently, join, lock_life};
+use thread::spawn_quiet;
 
 use crate::error::Error;
 use crate::node::{Node, Role};
 use crate::node_file::DESCRIPTION_MAX_BYTES;
 use crate::protocol::{
-    Advertise, Claim, FromBroker, Join, PROCESS_NAME_MAX_BYTES, PROTOCOL_VERSION, Refusal, Rejoin,
-    Reply, Request, Subscribe, ToBroker, Wish, decode, encode,
+    Advertise, Claim, FromBroker, Refusal, Reply, Request, Subscribe, ToBroker, Wish, encode,
 };
 use crate::stream::port::Streamable;
 use crate::stream::{Member, World};
 use crate::system::System;
 use crate::topic::Instance;
-use crate::transport::{connect_to_broker, receive_packet, send_packet};
+use crate::transport::send_packet;
 
 /// How long a request waits for its answer, a restart of the broker included.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -392,8 +390,6 @@ impl Link {
         no_answer(&self.system)
     }
 
-    // The thread.
-
     /// The system is over: all that waits is told so.
     pub(crate) fn end(&self) {
         self.ended.store(true, Ordering::Relaxed);
@@ -407,218 +403,6 @@ impl Link {
         // broker can ring them.
         let nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
         nodes.values().filter_map(Weak::upgrade).for_each(|node| node.ring_own_bells());
-    }
-
-    /// Listens to the broker, and finds the next one, until the session or the
-    /// system is over.
-    fn run(&self) {
-        let mut buffer = Vec::new();
-        while !self.has_ended() {
-            if !self.listen(&mut buffer) || !self.find_broker(&mut buffer) {
-                return;
-            }
-        }
-    }
-
-    /// Takes what the broker says until it is gone. False: the session is over.
-    fn listen(&self, buffer: &mut Vec<u8>) -> bool {
-        let Some(socket) = self.state().socket.clone() else { return true };
-        loop {
-            let mut ready = [
-                PollFd::new(socket.as_fd(), PollFlags::POLLIN),
-                PollFd::new(self.quit.as_fd(), PollFlags::POLLIN),
-            ];
-            match poll(&mut ready, PollTimeout::NONE) {
-                Err(Errno::EINTR) => continue,
-                Err(_) => return false,
-                Ok(_) => {}
-            }
-            if ready[1].any() == Some(true) {
-                return false;
-            }
-            let message = match receive_packet(&socket, buffer) {
-                Ok(packet) => decode(packet),
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => continue,
-                Err(_) => None,
-            };
-            match message {
-                Some(message) => self.take(message),
-                // Gone, or not a broker of ours.
-                None => break,
-            }
-            if self.has_ended() {
-                return false;
-            }
-        }
-        let mut state = self.state();
-        state.socket = None;
-        state.is_silent = false;
-        // Giving a handle back is done when the broker is gone: the next one is
-        // not told of it.
-        state.calls.retain(|_, call| {
-            !matches!(call.request, Request::Unadvertise { .. } | Request::Unsubscribe { .. })
-        });
-        true
-    }
-
-    fn take(&self, message: FromBroker) {
-        match message {
-            FromBroker::Reply { number, reply } => {
-                let mut state = self.state();
-                state.is_silent = false;
-                if let Some(Call { request, answer }) = state.calls.remove(&number) {
-                    state.note(request, &reply);
-                    let _ = answer.try_send(reply);
-                }
-            }
-            FromBroker::Described { handle } => self.state().described(handle),
-            // The broker has been told why, if it cannot be opened.
-            FromBroker::Streamed { handle } => _ = self.open_port(handle),
-            FromBroker::Ended => self.end(),
-        }
-    }
-
-    /// Waits for a broker and joins it. False: the session is over.
-    fn find_broker(&self, buffer: &mut Vec<u8>) -> bool {
-        let mut pause = RETRY_FROM;
-        loop {
-            let is_over = match connect_to_broker(&self.system) {
-                Ok(socket) => match self.rejoin(socket, buffer) {
-                    Ok(()) => return true,
-                    Err(Error::Refused(Refusal::OtherSystem | Refusal::Version { .. })) => true,
-                    Err(Error::Ended { .. }) => true,
-                    Err(_) => false,
-                },
-                // The lock goes last, and never while the system has a future.
-                Err(_) => self.system.is_unlocked(),
-            };
-            if is_over {
-                self.end();
-                return false;
-            }
-            // The processes of a system lose their broker at the same instant;
-            // each of them comes back at another.
-            let jitter = pause.mul_f64(f64::from(self.peer % 64) / 128.0);
-            let mut quit = [PollFd::new(self.quit.as_fd(), PollFlags::POLLIN)];
-            let timeout = PollTimeout::try_from(pause + jitter).unwrap_or(PollTimeout::MAX);
-            match poll(&mut quit, timeout) {
-                Ok(0) | Err(Errno::EINTR) => pause = (pause * 2).min(RETRY_TO),
-                _ => return false,
-            }
-        }
-    }
-
-    /// Joins under the old number, names again what the process holds, and asks
-    /// again what was not answered.
-    fn rejoin(&self, socket: OwnedFd, buffer: &mut Vec<u8>) -> Result<(), Error> {
-        let rejoin = Rejoin { peer: self.peer, system_id: self.system_id };
-        match join(&self.system, &socket, Some(rejoin))? {
-            Reply::Welcome { peer, system_id, .. }
-                if peer == self.peer && system_id == self.system_id => {}
-            reply => return Err(unexpected(reply)),
-        }
-        let mut streamed = Vec::new();
-        let mut state = self.state();
-        // The socket's buffers hold some hundred packets each way, and a process
-        // may hold ten thousand handles: take each answer before the next
-        // request. What is refused now was granted once; the handle goes on
-        // with the node it has mapped.
-        let held: Vec<(u32, Request)> =
-            state.held.iter().map(|(handle, request)| (*handle, request.clone())).collect();
-        for (handle, request) in held {
-            let mut hear = |word| state.hear(word, &mut streamed);
-            let reply = exchange(&self.system, &socket, request, buffer, &mut hear)?;
-            match reply {
-                Reply::Subscribed | Reply::Streaming { .. } => state.described(handle),
-                Reply::Advertised(_) | Reply::Waiting | Reply::Refused(_) => {}
-                reply => return Err(unexpected(reply)),
-            }
-        }
-        let mut hear = |word| state.hear(word, &mut streamed);
-        exchange(&self.system, &socket, Request::Rejoined, buffer, &mut hear)?;
-        for (number, call) in &state.calls {
-            let request = call.request.clone();
-            send_packet(&socket, &encode(&ToBroker { number: *number, request }))
-                .map_err(|error| no_broker(&self.system, error))?;
-        }
-        state.socket = Some(Arc::new(socket));
-        drop(state);
-        for handle in streamed {
-            let _ = self.open_port(handle);
-        }
-        Ok(())
-    }
-}
-
-/// Connects; while the broker has more to accept than it can keep in line, as
-/// when a hundred processes start at once, again.
-fn connect_patiently(system: &System) -> Result<OwnedFd, Error> {
-    let deadline = Instant::now() + ANSWER_TIMEOUT;
-    loop {
-        match connect_to_broker(system) {
-            Ok(socket) => return refuse_other_users(system, socket),
-            Err(error) if error.kind() != io::ErrorKind::WouldBlock => {
-                return Err(no_broker(system, error));
-            }
-            Err(_) if Instant::now() >= deadline => return Err(no_answer(system)),
-            // Nothing tells when there is room in its line.
-            Err(_) => thread::sleep(RETRY_FROM),
-        }
-    }
-}
-
-/// A broker takes processes of its own user and of root. The others are told why
-/// here: it just hangs up on them.
-fn refuse_other_users(system: &System, socket: OwnedFd) -> Result<OwnedFd, Error> {
-    let path = system.socket();
-    let us = geteuid();
-    let owner = getsockopt(&socket, sockopt::PeerCredentials)
-        .map_err(|errno| Error::io("look at", &path, errno.into()))?
-        .uid();
-    if owner == us.as_raw() || us.is_root() {
-        return Ok(socket);
-    }
-    Err(Error::OtherUser { path, owner, us: us.as_raw() })
-}
-
-/// One request and its answer on a connection that nobody else uses yet. The
-/// broker may speak by itself between the two.
-fn exchange(
-    system: &System,
-    socket: &OwnedFd,
-    request: Request,
-    buffer: &mut Vec<u8>,
-    hear: &mut dyn FnMut(FromBroker),
-) -> Result<Reply, Error> {
-    // A broker that was killed meanwhile is none.
-    send_packet(socket, &encode(&ToBroker { number: NO_NUMBER, request }))
-        .map_err(|error| no_broker(system, error))?;
-    loop {
-        let mut ready = [PollFd::new(socket.as_fd(), PollFlags::POLLIN)];
-        let timeout = PollTimeout::try_from(ANSWER_TIMEOUT).unwrap_or(PollTimeout::MAX);
-        match poll(&mut ready, timeout) {
-            Ok(0) => return Err(no_answer(system)),
-            Err(Errno::EINTR) => continue,
-            _ => {}
-        }
-        let packet = match receive_packet(socket, buffer) {
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => continue,
-            packet => packet.map_err(|error| no_broker(system, error))?,
-        };
-        match decode(packet) {
-            Some(FromBroker::Reply { reply, .. }) => return Ok(reply),
-            Some(FromBroker::Ended) => return Err(Error::Ended { path: system.dir() }),
-            Some(word) => hear(word),
-            None => return Err(system.no_broker()),
-        }
-    }
-}
-
-fn join(system: &System, socket: &OwnedFd, rejoin: Option<Rejoin>) -> Result<Reply, Error> {
-    let request = Request::Join(Join { version: PROTOCOL_VERSION, name: process_name(), rejoin });
-    match exchange(system, socket, request, &mut Vec::new(), &mut |_| {})? {
-        Reply::Refused(refusal) => Err(refusal.into()),
-        reply => Ok(reply),
     }
 }
 
@@ -634,52 +418,6 @@ fn check_size(request: &Request, size_bytes: usize) -> Result<(), Error> {
         return Err(Error::DescriptionTooLong { topic: topic.into(), size_bytes });
     }
     Ok(())
-}
-
-/// The name that `uorb info` shows: that of the program file.
-fn process_name() -> String {
-    let path = std::env::args_os().next().unwrap_or_default();
-    let name = std::path::Path::new(&path).file_name().unwrap_or_default().to_string_lossy();
-    let mut name = if name.is_empty() { "?".into() } else { name.into_owned() };
-    let end = name.floor_char_boundary(PROCESS_NAME_MAX_BYTES);
-    name.truncate(end);
-    name
-}
-
-/// Opens the process's own file and locks it for as long as it lives.
-fn lock_life(system: &System, peer: u16) -> Result<File, Error> {
-    let path = system.peer(peer);
-    let file = File::options()
-        .read(true)
-        .write(true)
-        .custom_flags(libc::O_CLOEXEC | libc::O_NOFOLLOW)
-        .open(&path)
-        .map_err(|error| Error::io("open", &path, error))?;
-    // A record lock, not flock or an open file description's: those outlive
-    // the process in a forked child.
-    fcntl(&file, FcntlArg::F_SETLK(&write_lock()))
-        .map_err(|errno| Error::io("lock", &path, errno.into()))?;
-    Ok(file)
-}
-
-fn write_lock() -> libc::flock {
-    libc::flock {
-        l_type: libc::F_WRLCK as libc::c_short,
-        l_whence: libc::SEEK_SET as libc::c_short,
-        l_start: 0,
-        l_len: 0,
-        l_pid: 0,
-    }
-}
-
-/// Starts the thread with all signals blocked: a program's handlers run on its
-/// own threads.
-fn spawn_quiet(link: Arc<Link>) -> io::Result<JoinHandle<()>> {
-    let mut before = SigSet::empty();
-    pthread_sigmask(SigmaskHow::SIG_SETMASK, Some(&SigSet::all()), Some(&mut before))?;
-    let thread = thread::Builder::new().name("uorb-session".into()).spawn(move || link.run());
-    pthread_sigmask(SigmaskHow::SIG_SETMASK, Some(&before), None)?;
-    thread
 }
 
 #[cold]

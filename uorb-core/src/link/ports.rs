@@ -9,7 +9,8 @@ use std::sync::{Arc, MutexGuard, PoisonError};
 use nix::fcntl::{FcntlArg, fcntl};
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
-use super::{Link, process_name, write_lock};
+use super::Link;
+use super::joining::{process_name, write_lock};
 use crate::error::Error;
 use crate::protocol::Request;
 use crate::stream::Member;
