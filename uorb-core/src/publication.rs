@@ -127,6 +127,7 @@ impl RawPublication {
     ///
     /// As [`RawPublication::publish`]; [`Error::NoSpace`] where shared memory has
     /// no room for one more large message.
+    #[inline]
     pub fn loan(&mut self) -> Result<RawLoan<'_>, Error> {
         self.check()?;
         let loaned = if self.is_streamed() { self.loan_from_stream()? } else { None };
@@ -172,6 +173,7 @@ impl RawPublication {
         self.commit_and_send(Some(message), loaned)
     }
 
+    #[inline]
     pub(crate) fn publish_loaned(&mut self, loaned: Loaned) -> Result<Generation, Error> {
         match self.check() {
             Ok(()) => self.commit_and_send(None, Some(loaned)),
@@ -200,6 +202,7 @@ impl RawPublication {
 
     /// Memory of the stream. None where its port is not open yet: the node has
     /// the message then, and whoever follows the stream looks there, too.
+    #[inline]
     fn loan_from_stream(&self) -> Result<Option<Loaned>, Error> {
         match (self.port.get().map(Port::loan), self.is_large()) {
             (Some(Ok(loaned)), _) => Ok(Some(loaned)),
@@ -211,6 +214,7 @@ impl RawPublication {
         }
     }
 
+    #[inline]
     fn commit_and_send(
         &mut self,
         message: Option<&[u8]>,

@@ -80,6 +80,7 @@ impl Node {
 
     /// Publishes a message, which is in the stream's memory if there is a port:
     /// commits it to the node, sends it, and rings.
+    #[inline]
     pub(crate) fn publish_and_send(
         &self,
         writer: &mut Writer,

@@ -124,6 +124,7 @@ impl Port {
         Ok(port)
     }
 
+    #[inline]
     fn ends(&self) -> MutexGuard<'_, Ends> {
         self.ends.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -164,6 +165,7 @@ impl Port {
     }
 
     /// The memory of the next message, with whatever was in it before.
+    #[inline]
     pub(crate) fn loan(&self) -> Result<Loaned, Error> {
         let mut ends = self.ends();
         let mut sample = ends.publisher.loan_slice_uninit(self.size_bytes).map_err(|why| {
@@ -187,6 +189,7 @@ impl Port {
 
     /// Hands a message, which is committed to the node, to everybody who follows
     /// the stream. Whoever it does not reach finds it missing.
+    #[inline]
     pub(crate) fn send(&self, loaned: Loaned, generation: u64, stamp: Stamp) {
         let _ends = self.ends();
         let mut sample = ManuallyDrop::into_inner(loaned.sample);
@@ -205,6 +208,7 @@ impl Port {
     }
 
     /// Wakes foreign programs that wait for the stream, if there are any.
+    #[inline]
     pub(crate) fn notify(&self) {
         if self.events.dynamic_config().number_of_listeners() > 0 {
             let _ = self.ends().notifier.notify();

@@ -157,6 +157,7 @@ impl Reader {
 
     /// Looks for the message after `cursor`, or, where that is lost, the next
     /// one that is not.
+    #[inline]
     pub(crate) fn next(&mut self, node: &Node, cursor: u64, skips: Skips) -> Result<Next, Corrupt> {
         if let Some(begun) = self.begun.take().filter(|begun| begun.generation == cursor + 1) {
             node.set_received(self.index, begun.generation);
@@ -193,6 +194,7 @@ impl Reader {
     }
 
     /// Looks for one message everywhere, and makes it the current one.
+    #[inline]
     fn find(&mut self, node: &Node, wanted: u64) -> Result<Place, Corrupt> {
         if let Some(stamp) = self.take_from_stream(node, wanted) {
             return Ok(Place::Here(stamp));
@@ -266,6 +268,7 @@ impl Reader {
     }
 
     /// Receives until the wanted message has come, or nothing more comes.
+    #[inline]
     fn take_from_stream(&mut self, node: &Node, wanted: u64) -> Option<Stamp> {
         while let Some(entry) = self.early.first_entry() {
             match *entry.key() {
@@ -290,6 +293,7 @@ impl Reader {
     }
 
     /// The next message that the stream has, and its generation.
+    #[inline]
     fn receive(&mut self, node: &Node, known: u64) -> Option<(u64, Message)> {
         loop {
             let sample = match self.subscriber.receive() {
@@ -326,6 +330,7 @@ impl Reader {
 
     /// Whether a port is a publisher's of ours. Foreign ones may write what they
     /// like into the header.
+    #[inline]
     fn is_registered(&mut self, node: &Node, id: u128) -> bool {
         if self.known_ports.contains(&id) {
             return true;
@@ -346,6 +351,7 @@ impl Reader {
         now_us < self.awaited.1 + PATIENCE_US
     }
 
+    #[inline]
     fn borrowed(&mut self, sample: Message) -> Stamp {
         let header = *sample.user_header();
         self.current = Current::Borrowed(sample);

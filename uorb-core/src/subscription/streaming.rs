@@ -83,6 +83,7 @@ impl RawSubscription {
     }
 
     /// Makes the next message the current one. False: there is nothing new.
+    #[inline]
     pub(crate) fn advance(&mut self) -> bool {
         let (Some(reader), Some(node)) = (&mut self.reader, &self.node) else { return false };
         let skips = if self.pace.is_some() { Skips::AreWanted } else { Skips::AreLost };
