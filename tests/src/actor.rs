@@ -20,7 +20,7 @@ use uorb_core::{
     Subscription, System, poll, topic,
 };
 use uorb_msg::SensorAccel;
-use uorb_tests::{PATIENCE, Plain, Stamped, program, raise_descriptor_limit};
+use uorb_tests::{PATIENCE, Plain, Stamped, heard, number, program, raise_descriptor_limit};
 
 fn main() -> ExitCode {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
@@ -55,16 +55,6 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
-}
-
-fn number(text: &str) -> u64 {
-    text.parse().unwrap_or_else(|_| panic!("{text:?} is not a number"))
-}
-
-/// The next line of the story; None when it has said all.
-fn heard() -> Option<String> {
-    let mut line = String::new();
-    (stdin().lock().read_line(&mut line).expect("the pipe can be read") > 0).then_some(line)
 }
 
 fn advertise(session: &Session, queue: u32) -> Result<Publication<Stamped>, Error> {

@@ -6,6 +6,7 @@
 //! that processes print and for what the bus says, never for time to pass.
 
 mod foreigner;
+mod hearing;
 mod process;
 mod python;
 mod stranger;
@@ -27,6 +28,7 @@ use uorb_core::{
 };
 
 pub use self::foreigner::Foreigner;
+pub use self::hearing::{heard, number};
 pub use self::process::{Actor, Ended, is_running};
 pub use self::python::Python;
 pub use self::stranger::Stranger;

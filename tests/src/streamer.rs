@@ -10,7 +10,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{
     Error, Instance, Publication, Session, StreamOptions, StreamSubscription, System, poll,
 };
-use uorb_tests::{Image, Stamped, program};
+use uorb_tests::{Image, Stamped, heard, number, program};
 
 fn main() -> ExitCode {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
@@ -34,16 +34,6 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
-}
-
-fn number(text: &str) -> u64 {
-    text.parse().unwrap_or_else(|_| panic!("{text:?} is not a number"))
-}
-
-/// The next line of the story; None when it has said all.
-fn heard() -> Option<String> {
-    let mut line = String::new();
-    (stdin().lock().read_line(&mut line).expect("the pipe can be read") > 0).then_some(line)
 }
 
 /// Whether the story has said something.
