@@ -23,25 +23,37 @@ use crate::streams::Order;
 
 impl Broker {
     pub(super) fn accept(&mut self) {
+        // The streams' thread may have taken the descriptor that was given up
+        // last. Another newcomer must not take it first: then nobody could be
+        // turned away any more, and would wait.
+        if self.reserve.is_none() {
+            self.reserve = File::open("/dev/null").ok();
+        }
+        if self.reserve.is_none() {
+            return self.stop_listening();
+        }
         loop {
             let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
             let socket = match accept4(self.listener.as_raw_fd(), flags) {
                 Ok(socket) => own(socket),
                 Err(Errno::EINTR) => continue,
                 Err(Errno::EAGAIN | Errno::ECONNABORTED) => return,
-                Err(Errno::EMFILE) if self.reserve.take().is_some() => {
+                Err(Errno::EMFILE) => {
                     // accept4 asks for a descriptor before it looks whether
                     // anybody connects, so this says nothing about the queue.
+                    self.reserve = None;
                     let mut turned_away = 0;
                     while let Ok(socket) = accept4(self.listener.as_raw_fd(), flags) {
                         drop(own(socket));
                         turned_away += 1;
                     }
                     self.reserve = File::open("/dev/null").ok();
-                    warn!(
-                        "turned {turned_away} processes away: there are no descriptors left \
-                         (ulimit -n)"
-                    );
+                    if turned_away > 0 {
+                        warn!(
+                            "turned {turned_away} processes away: there are no descriptors left \
+                             (ulimit -n)"
+                        );
+                    }
                     return;
                 }
                 Err(errno) => {
