@@ -15,6 +15,8 @@
 #include <unistd.h>
 
 #include <px4_platform_common/defines.h>
+/* PX4's brings the log along, and programs count on it. */
+#include <px4_platform_common/log.h>
 #include <px4_platform_common/tasks.h>
 
 #define PX4_F_RDONLY O_RDONLY
