@@ -105,7 +105,7 @@ pub use self::{
     message_hash::message_hash,
     poll::poll,
     protocol::{Claim, Mismatch, PeerInfo, Refusal},
-    publication::{AdvertiseOptions, Publication, RawPublication},
+    publication::{AdvertiseOptions, Publication, RawPublication, SharedPublication},
     session::Session,
     stream::{STREAMS_MAX, UorbHeader, World, depth_max},
     stream_subscription::{StreamOptions, StreamSubscription},

@@ -4,11 +4,14 @@
 //! publishing is a matter between this process and the node. Dropping a
 //! publication unadvertises it; the node and its last message stay.
 
+mod shared;
+
 use std::fmt;
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
+pub use shared::SharedPublication;
 use zerocopy::IntoBytes;
 
 use crate::error::Error;
@@ -102,7 +105,7 @@ impl RawPublication {
         }
         self.check()?;
         if self.is_streamed() {
-            return self.publish_and_send(message);
+            return self.with_writer(|raw, writer| raw.publish_and_send(writer, message));
         }
         let published = self.node.publish(&mut self.writer, message);
         published.map(Generation::from_wide).map_err(|_| self.busy())
@@ -163,20 +166,29 @@ impl RawPublication {
         Err(Error::QueueFull { node: self.node.name(), process, depth: full.depth })
     }
 
+    fn with_writer<R>(&mut self, publish: impl FnOnce(&Self, &mut Writer) -> R) -> R {
+        let mut writer = self.writer;
+        let published = publish(self, &mut writer);
+        self.writer = writer;
+        published
+    }
+
     /// Somebody follows the stream: the message goes there too.
     #[inline(never)]
-    fn publish_and_send(&mut self, message: &[u8]) -> Result<Generation, Error> {
+    fn publish_and_send(&self, writer: &mut Writer, message: &[u8]) -> Result<Generation, Error> {
         let mut loaned = self.loan_from_stream()?;
         if let Some(loaned) = &mut loaned {
             loaned.bytes_mut().copy_from_slice(message);
         }
-        self.commit_and_send(Some(message), loaned)
+        self.commit_and_send(writer, Some(message), loaned)
     }
 
     #[inline]
     pub(crate) fn publish_loaned(&mut self, loaned: Loaned) -> Result<Generation, Error> {
         match self.check() {
-            Ok(()) => self.commit_and_send(None, Some(loaned)),
+            Ok(()) => {
+                self.with_writer(|raw, writer| raw.commit_and_send(writer, None, Some(loaned)))
+            }
             Err(error) => {
                 self.give_back(loaned);
                 Err(error)
@@ -216,13 +228,14 @@ impl RawPublication {
 
     #[inline]
     fn commit_and_send(
-        &mut self,
+        &self,
+        writer: &mut Writer,
         message: Option<&[u8]>,
         loaned: Option<Loaned>,
     ) -> Result<Generation, Error> {
         let port = self.port.get();
         let loaned = port.zip(loaned);
-        let published = self.node.publish_and_send(&mut self.writer, message, loaned);
+        let published = self.node.publish_and_send(writer, message, loaned);
         if let Some(port) = port {
             port.notify();
         }

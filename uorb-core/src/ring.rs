@@ -129,7 +129,7 @@ pub(crate) struct Busy;
 pub(crate) struct Corrupt;
 
 /// A publisher's private memory between two publishes.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Writer {
     /// Peer number, 1 to [`PEER_MAX`]: it owns the slots that this writer claims.
     peer: u16,
@@ -145,6 +145,16 @@ impl Writer {
     pub(crate) fn new(peer: u16, handle: u32) -> Self {
         debug_assert!((1..=PEER_MAX).contains(&peer), "peer 0 marks a free slot");
         Self { peer, publisher: Self::publisher(peer, handle), newest: 0, candidate: 0 }
+    }
+
+    /// The same publisher, which knows what another copy of it has learnt.
+    pub(crate) fn with_hints(self, newest: u64, candidate: usize) -> Self {
+        Self { newest, candidate, ..self }
+    }
+
+    /// What it has learnt.
+    pub(crate) fn hints(&self) -> (u64, usize) {
+        (self.newest, self.candidate)
     }
 
     /// Who publishes, as [`Stamp`] carries it.

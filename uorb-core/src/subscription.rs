@@ -86,6 +86,19 @@ impl RawSubscription {
         Self::follow(session, Subject::Named(topic.to_string()), instance, None)
     }
 
+    /// Follows a topic that is described at run time, as the C door's are.
+    ///
+    /// # Errors
+    ///
+    /// As [`Subscription::subscribe`].
+    pub fn subscribe_described(
+        session: &Session,
+        metadata: &Metadata,
+        instance: Instance,
+    ) -> Result<Self, Error> {
+        Self::follow(session, Subject::Described(metadata.clone()), instance, None)
+    }
+
     /// Follows a topic that somebody has described already; None where nobody
     /// has (PX4's optional topics, `ORB_DEFINE_OPTIONAL`: ENOENT).
     ///
@@ -215,6 +228,37 @@ impl RawSubscription {
         true
     }
 
+    /// As [`RawSubscription::copy`], into memory of the layout's size that need
+    /// not be initialised. True means that all of it was written; false also
+    /// that its size is another.
+    #[inline]
+    pub fn copy_to(&mut self, into: &mut [MaybeUninit<u8>]) -> bool {
+        if !matches!(self.attach(), Ok(true)) {
+            return false;
+        }
+        let size_bytes = self.node.as_ref().map(|node| node.identity.metadata.layout.size_bytes);
+        size_bytes == Some(into.len() as u32) && self.take_into(into)
+    }
+
+    /// Takes all that was published until now as copied, and loses nothing by
+    /// it. False if nothing was ever published.
+    pub fn skip(&mut self) -> bool {
+        if !matches!(self.attach(), Ok(true)) {
+            return false;
+        }
+        if self.reader.is_some() {
+            while self.updated() {
+                self.advance();
+            }
+            return self.current().is_some();
+        }
+        let Some(node) = &self.node else { return false };
+        self.cursor = node.newest(self.cursor);
+        let was_published = self.cursor > node.identity.base;
+        self.settle();
+        was_published
+    }
+
     /// Copies the next message into a buffer of the layout's size. True means
     /// that all of it was written.
     #[inline(always)]
@@ -268,7 +312,11 @@ impl RawSubscription {
 
     /// What hinders it from ever being updated: the session is not this
     /// process's or has ended, or the node is broken.
-    pub(crate) fn check(&self) -> Result<(), Error> {
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Forked`], [`Error::Ended`], [`Error::CorruptNode`].
+    pub fn check(&self) -> Result<(), Error> {
         self.session.check()?;
         let Some(node) = &self.node else { return Ok(()) };
         if node.has_ended() {
@@ -306,6 +354,12 @@ impl RawSubscription {
     /// Messages that were overwritten before this subscription copied them.
     pub fn lost(&self) -> u64 {
         self.lost + self.reader.as_ref().map_or(0, |reader| reader.lost())
+    }
+
+    /// The generation that was copied last; that before the pending one where
+    /// nothing was copied yet.
+    pub fn generation(&self) -> Generation {
+        Generation::from_wide(self.cursor)
     }
 
     /// What is known of the message that was copied last.
