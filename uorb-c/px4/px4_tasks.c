@@ -3,6 +3,10 @@
  *
  * Tasks as threads. A table says which there are; a task leaves it as the last
  * thing it does, however it ends: by returning, by px4_task_exit or deleted.
+ *
+ * To be deleted is to be cancelled (pthreads(7)), which unwinds the stack. Rust
+ * cannot be unwound like that, and poll(2) within libuorb is a place where it
+ * would happen; so tasks cannot be cancelled but where they say that they can.
  */
 
 #define _GNU_SOURCE
@@ -11,7 +15,9 @@
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
+#include <drivers/drv_hrt.h>
 #include <px4_platform_common/log.h>
 #include <px4_platform_common/tasks.h>
 
@@ -66,6 +72,7 @@ static void *run(void *argument)
 {
 	struct start *start = argument;
 	this_task = start->task;
+	pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, NULL);
 	pthread_setname_np(pthread_self(), start->task->name);
 	pthread_cleanup_push(leave, start);
 	start->entry(start->argc, start->argv);
@@ -195,6 +202,36 @@ void px4_task_exit(int result)
 	}
 
 	pthread_exit(NULL);
+}
+
+void px4_task_may_end(void)
+{
+	if (this_task != NULL) {
+		pthread_setcancelstate(PTHREAD_CANCEL_ENABLE, NULL);
+		pthread_testcancel();
+		pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, NULL);
+	}
+}
+
+int px4_usleep(uint32_t time_us)
+{
+	/* usleep(3) may refuse a second and more. */
+	struct timespec time;
+	abstime_to_ts(&time, time_us);
+	int state;
+	pthread_setcancelstate(PTHREAD_CANCEL_ENABLE, &state);
+	const int slept = nanosleep(&time, NULL);
+	pthread_setcancelstate(state, NULL);
+	return slept;
+}
+
+unsigned px4_sleep(unsigned seconds)
+{
+	int state;
+	pthread_setcancelstate(PTHREAD_CANCEL_ENABLE, &state);
+	const unsigned left = sleep(seconds);
+	pthread_setcancelstate(state, NULL);
+	return left;
 }
 
 void px4_wait_for_tasks(void)

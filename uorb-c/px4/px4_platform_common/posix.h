@@ -49,6 +49,16 @@ __BEGIN_DECLS
  */
 __EXPORT extern int px4_poll(px4_pollfd_struct_t *fds, unsigned nfds, int timeout);
 
+/** What programs call: a task that was deleted meanwhile ends behind it. */
+static inline int px4_task_poll(px4_pollfd_struct_t *fds, unsigned nfds, int timeout)
+{
+	const int ready = px4_poll(fds, nfds, timeout);
+	px4_task_may_end();
+	return ready;
+}
+
+#define px4_poll px4_task_poll
+
 __END_DECLS
 
 #endif /* UORB_PX4_POSIX_H */

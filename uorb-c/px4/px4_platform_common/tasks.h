@@ -48,9 +48,9 @@ __BEGIN_DECLS
 __EXPORT extern px4_task_t px4_task_spawn_cmd(const char *name, int scheduler, int priority, int stack_size,
 		px4_main_t entry, char *const argv[]);
 
-/** Ends a task at the next place where threads may be cancelled (pthreads(7)),
- * or the task that calls it at once. What it holds is not given back. 0, or a
- * negative errno. */
+/** Ends the task that calls it at once, another one in its next px4_usleep or
+ * px4_sleep, or after its next px4_poll: nowhere within the library, which would
+ * not survive it. What it holds is not given back. 0, or a negative errno. */
 __EXPORT extern int px4_task_delete(px4_task_t task);
 
 /** Sends a signal to a task. 0, or a negative errno. */
@@ -74,6 +74,9 @@ __EXPORT extern int px4_prctl(int option, const char *name, px4_task_t task);
 
 /** The task that calls it: 0 in the program's own thread. */
 __EXPORT extern px4_task_t px4_getpid(void);
+
+/** Not in PX4. Ends the task that calls it here, if it was deleted. */
+__EXPORT extern void px4_task_may_end(void);
 
 /** Not in PX4. Waits until all tasks have ended: what px4_main.c ends with. */
 __EXPORT extern void px4_wait_for_tasks(void);
