@@ -85,6 +85,10 @@ protected:
 	/** How long no update is to be seen yet. */
 	uint64_t interval_left_us() const
 	{
+		if (_last_update == 0) {
+			return 0;
+		}
+
 		const uint64_t elapsed = now_us() - _last_update;
 		return elapsed >= _interval_us ? 0 : _interval_us - elapsed;
 	}
@@ -98,6 +102,7 @@ protected:
 	}
 
 	Subscription _subscription;
+	/** When the interval that runs began; 0: none does yet. */
 	uint64_t _last_update{0};
 	uint32_t _interval_us{0};
 };
