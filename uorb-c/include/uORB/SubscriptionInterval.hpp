@@ -5,7 +5,7 @@
  *
  * Updates are counted from a time that moves on by one interval with every
  * copy, so that a copy that comes late does not make the next one late, too.
- * The first update is seen at once.
+ * The first update is seen at once and begins the count.
  */
 
 #ifndef UORB_SUBSCRIPTIONINTERVAL_HPP
@@ -54,17 +54,17 @@ public:
 			return false;
 		}
 
-		// One interval on, but not into the future, and not so far behind that
-		// several updates would follow each other.
 		const uint64_t now = now_us();
 		const uint64_t earliest = now > _interval_us ? now - _interval_us : 0;
-		_last_update += _interval_us;
+		const uint64_t next = _last_update + _interval_us;
 
-		if (_last_update < earliest) {
-			_last_update = earliest;
-
-		} else if (_last_update > now) {
+		// One interval on, but not into the future, and not so far behind that
+		// several updates would follow each other. The first begins the count.
+		if (_last_update == 0 || next > now) {
 			_last_update = now;
+
+		} else {
+			_last_update = next > earliest ? next : earliest;
 		}
 
 		return true;
