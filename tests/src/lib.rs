@@ -7,6 +7,7 @@
 
 mod foreigner;
 mod hearing;
+mod installed;
 mod process;
 mod python;
 mod stranger;
@@ -29,6 +30,7 @@ use uorb_core::{
 
 pub use self::foreigner::Foreigner;
 pub use self::hearing::{heard, number};
+pub use self::installed::{Installed, Language, is_there};
 pub use self::process::{Actor, Ended, is_running};
 pub use self::python::Python;
 pub use self::stranger::Stranger;

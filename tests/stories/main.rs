@@ -18,6 +18,8 @@ mod flight_logs;
 mod foreign;
 /// What publish and copy never do.
 mod hot_path;
+/// `uorb msg`, `scripts/install`, and programs in C built with what they make.
+mod installed;
 /// Instances: who gets which.
 mod instances;
 /// Layouts that do not match, topics that nobody has described yet.

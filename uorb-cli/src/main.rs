@@ -17,6 +17,7 @@ mod interrupt;
 mod listener;
 mod ls;
 mod man;
+mod msg;
 mod nearest;
 mod print;
 mod publish;
@@ -56,6 +57,7 @@ Examples:
   uorb ls /obj                            list the nodes, as `ls /obj` does
   uorb top                                watch how much is published, and lost
   uorb replay flight.ulg --speed 4        publish a flight log
+  uorb msg my_messages                    compile .msg files to C and C++
   uorb stop                               stop the broker
 
 `uorb help COMMAND` has more, with examples.
@@ -75,6 +77,7 @@ enum Command {
     Pub(publish::Args),
     Replay(replay::Args),
     Test(test::Args),
+    Msg(msg::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -117,6 +120,7 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Info(args) => info::run(args, &context, out),
         Command::Pub(args) => publish::run(args, &context),
         Command::Test(args) => test::run(args, &context, out),
+        Command::Msg(args) => msg::run(args),
         Command::Completions(args) => completions::run(args, out),
         Command::Man(args) => man::run(args, Cli::command(), out),
         Command::Ls(args) => ls::run(args, &context, out),

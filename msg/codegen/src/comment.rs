@@ -130,6 +130,36 @@ impl Comment {
         }
         doc
     }
+
+    /// The comment as lines of plain text: the unit in brackets, as PX4 writes
+    /// it, the words, and the other tags behind them.
+    pub(crate) fn plain_lines(&self) -> Vec<String> {
+        let mut plain = self.lines.clone();
+        while plain.last().is_some_and(String::is_empty) {
+            plain.pop();
+        }
+        if !self.unit.is_empty() {
+            match plain.first_mut() {
+                Some(first) => *first = format!("[{}] {first}", self.unit).trim().to_string(),
+                None => plain.push(format!("[{}]", self.unit)),
+            }
+        }
+        let tags = [
+            ("Range", &self.range),
+            ("Frame", &self.frame),
+            ("Invalid", &self.invalid),
+            ("Values", &self.values),
+        ];
+        let tags: Vec<String> = tags
+            .into_iter()
+            .filter(|(_, text)| !text.is_empty())
+            .map(|(name, text)| format!("{name}: {text}."))
+            .collect();
+        if !tags.is_empty() {
+            plain.push(tags.join(" "));
+        }
+        plain
+    }
 }
 
 /// `m/s^2`, `1e-7 deg`, `%`, `-`; but not `0..360`, `-1,1`, a type or a remark.

@@ -1,5 +1,6 @@
 //! The message compiler: reads a folder of .msg files, as PX4 has them in
-//! `msg/`, and writes a Rust module with a struct and topics for each.
+//! `msg/`, and writes a Rust module with a struct and topics for each, or headers
+//! and sources in C and C++ ([`Config::generate_c`], the command `uorb msg`).
 //!
 //! A crate with messages of its own needs a folder with them, a build script
 //! and one line:
@@ -42,12 +43,21 @@
 //! the build with file, line and word, all mistakes at once.
 #![deny(missing_docs)]
 
+/// `write!` to a String cannot fail; this is `writeln!` without the `Result`.
+macro_rules! line {
+    ($out:expr, $($arguments:tt)*) => {{
+        let _ = writeln!($out, $($arguments)*);
+    }};
+}
+
+mod c;
 mod comment;
 mod fault;
 mod folder;
 mod layout;
 mod message;
 mod names;
+mod output;
 mod parse;
 mod rust;
 mod scalar;
@@ -58,6 +68,9 @@ use std::path::{Path, PathBuf};
 
 use fault::Notes;
 pub use fault::{Error, Fault};
+use layout::Layout;
+use message::Messages;
+pub use output::{GeneratedC, Written};
 
 /// Compiles a folder of .msg files in a build script: writes
 /// `$OUT_DIR/uorb_msg.rs`, prints the warnings, and tells cargo to come back
@@ -145,6 +158,26 @@ impl Config {
 
     /// Makes the module and returns it.
     pub fn generate(&self) -> Result<Generated, Error> {
+        let mut messages = self.read()?;
+        let layouts = lay_out(&mut messages)?;
+        let rust = rust::module(&messages, &layouts);
+        Ok(Generated { rust, warnings: messages.warnings })
+    }
+
+    /// Makes the headers and sources of C and C++ and returns them.
+    pub fn generate_c(&self) -> Result<GeneratedC, Error> {
+        let mut messages = self.read()?;
+        c::refuse_names(&mut messages);
+        let layouts = lay_out(&mut messages)?;
+        let files = c::files(&messages, &layouts);
+        let mut warnings = messages.warnings.clone();
+        warnings.extend(c::warnings(&messages, &layouts));
+        warnings.sort();
+        Ok(GeneratedC { files, warnings })
+    }
+
+    /// Reads the messages, with what is wrong in them.
+    fn read(&self) -> Result<Messages, Error> {
         let mut files = Vec::new();
         for (path, text) in &self.texts {
             files.push(read(Path::new(path), text.as_bytes(), false));
@@ -163,16 +196,20 @@ impl Config {
                 }
             }
         }
-        let mut messages = folder::resolve(files);
-        let (layouts, faults) = layout::lay_out(&messages);
-        messages.faults.extend(faults);
-        messages.faults.sort();
-        messages.warnings.sort();
-        if !messages.faults.is_empty() {
-            return Err(Error::Messages(messages.faults));
-        }
-        let rust = rust::module(&messages, &layouts);
-        Ok(Generated { rust, warnings: messages.warnings })
+        Ok(folder::resolve(files))
+    }
+}
+
+/// Lays out messages that have no fault so far, and none in their layouts.
+fn lay_out(messages: &mut Messages) -> Result<Vec<Layout>, Error> {
+    let (layouts, faults) = layout::lay_out(messages);
+    messages.faults.extend(faults);
+    messages.faults.sort();
+    messages.warnings.sort();
+    if messages.faults.is_empty() {
+        Ok(layouts)
+    } else {
+        Err(Error::Messages(std::mem::take(&mut messages.faults)))
     }
 }
 

@@ -30,6 +30,9 @@ pub(crate) struct Message {
     /// In the order of the text. Empty: only nested in others (it comes from a
     /// search folder).
     pub(crate) topics: Vec<TopicName>,
+    /// The topics of a message from a search folder: somebody else defines
+    /// them, but a header in C can declare them.
+    pub(crate) topics_elsewhere: Vec<TopicName>,
     pub(crate) queue_length: u32,
 }
 
@@ -96,7 +99,11 @@ pub(crate) fn resolve(
     }
     refuse_doubles(&ast, notes);
     let queue_length = queue_length(&ast.constants, notes);
-    let topics = if searched { Vec::new() } else { topics(&name, ast.topics, notes) };
+    let (topics, topics_elsewhere) = match (searched, ast.topics) {
+        (false, listed) => (topics(&name, listed, notes), Vec::new()),
+        (true, none) if none.is_empty() => (none, vec![TopicName { name: name.clone(), line: 1 }]),
+        (true, listed) => (Vec::new(), listed),
+    };
     let fields = ast.fields.into_iter().filter_map(|field| resolve_field(field, places, notes));
     let mut fields: Vec<Field> = fields.collect();
     insert_timestamp(&mut fields, notes);
@@ -107,6 +114,7 @@ pub(crate) fn resolve(
         fields,
         constants: ast.constants,
         topics,
+        topics_elsewhere,
         queue_length,
     }
 }

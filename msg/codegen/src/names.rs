@@ -62,6 +62,19 @@ pub(crate) fn reserved(name: &str) -> Option<&'static str> {
     C_KEYWORDS.split_whitespace().any(|keyword| keyword == name).then_some("C and C++")
 }
 
+/// What a name is in C and C++, if it is more than a name there: a keyword, a
+/// type, or a macro of a header that every program includes.
+pub(crate) fn reserved_in_c(name: &str) -> Option<&'static str> {
+    let is_in = |list: &str| list.split_whitespace().any(|word| word == name);
+    if is_in(C_KEYWORDS) || is_in(C_NEWER_KEYWORDS) {
+        Some("a keyword of C and C++")
+    } else if is_in(C_TYPES) {
+        Some("a type of C and C++")
+    } else {
+        is_in(C_MACROS).then_some("a macro of C and C++")
+    }
+}
+
 /// The name as Rust code writes it: `r#type` where it is a keyword.
 pub(crate) fn rust_name(name: &str) -> String {
     let keyword = RUST_KEYWORDS.split_whitespace().any(|keyword| keyword == name);
@@ -111,6 +124,17 @@ const C_KEYWORDS: &str = "
     signed sizeof static static_assert static_cast struct switch template this thread_local throw
     true try typedef typeid typename union unsigned using virtual void volatile wchar_t while xor
     xor_eq";
+
+/// Keywords that no PX4 of its time knew, and that Rust output goes on taking.
+const C_NEWER_KEYWORDS: &str = "char8_t char16_t char32_t typeof typeof_unqual";
+
+/// Types that the members of a struct have.
+const C_TYPES: &str = "int8_t int16_t int32_t int64_t uint8_t uint16_t uint32_t uint64_t";
+
+/// Macros of the compiler, and of the headers that `uORB.h` includes.
+const C_MACROS: &str = "
+    linux unix i386 errno offsetof NULL NAN INFINITY INT8_MIN INT16_MIN INT32_MIN INT64_MIN INT8_MAX
+    INT16_MAX INT32_MAX INT64_MAX UINT8_MAX UINT16_MAX UINT32_MAX UINT64_MAX SIZE_MAX";
 
 const RUST_KEYWORDS: &str = "
     abstract as async await become box break const continue do dyn else enum extern false final fn

@@ -29,13 +29,6 @@ pub(crate) fn module(messages: &Messages, layouts: &[Layout]) -> String {
     out
 }
 
-/// `write!` to a String cannot fail; this is `writeln!` without the `Result`.
-macro_rules! line {
-    ($out:expr, $($arguments:tt)*) => {{
-        let _ = writeln!($out, $($arguments)*);
-    }};
-}
-
 fn write_struct(out: &mut String, messages: &Messages, message: &Message, layout: &Layout) {
     line!(out, "");
     let mut doc = message.comment.doc_lines();

@@ -40,22 +40,22 @@ impl Scalar {
         Self::Char,
     ];
 
-    /// How the type is called in .msg files, in Rust, and as a variant
-    /// of `uorb_core::FieldType`.
-    const fn names(self) -> [&'static str; 3] {
+    /// How the type is called in .msg files, in Rust, as a variant of
+    /// `uorb_core::FieldType`, and in C.
+    const fn names(self) -> [&'static str; 4] {
         match self {
-            Self::Int8 => ["int8", "i8", "Int8"],
-            Self::Int16 => ["int16", "i16", "Int16"],
-            Self::Int32 => ["int32", "i32", "Int32"],
-            Self::Int64 => ["int64", "i64", "Int64"],
-            Self::Uint8 => ["uint8", "u8", "Uint8"],
-            Self::Uint16 => ["uint16", "u16", "Uint16"],
-            Self::Uint32 => ["uint32", "u32", "Uint32"],
-            Self::Uint64 => ["uint64", "u64", "Uint64"],
-            Self::Float32 => ["float32", "f32", "Float32"],
-            Self::Float64 => ["float64", "f64", "Float64"],
-            Self::Bool => ["bool", "::uorb_core::Bool", "Bool"],
-            Self::Char => ["char", "u8", "Char"],
+            Self::Int8 => ["int8", "i8", "Int8", "int8_t"],
+            Self::Int16 => ["int16", "i16", "Int16", "int16_t"],
+            Self::Int32 => ["int32", "i32", "Int32", "int32_t"],
+            Self::Int64 => ["int64", "i64", "Int64", "int64_t"],
+            Self::Uint8 => ["uint8", "u8", "Uint8", "uint8_t"],
+            Self::Uint16 => ["uint16", "u16", "Uint16", "uint16_t"],
+            Self::Uint32 => ["uint32", "u32", "Uint32", "uint32_t"],
+            Self::Uint64 => ["uint64", "u64", "Uint64", "uint64_t"],
+            Self::Float32 => ["float32", "f32", "Float32", "float"],
+            Self::Float64 => ["float64", "f64", "Float64", "double"],
+            Self::Bool => ["bool", "::uorb_core::Bool", "Bool", "bool"],
+            Self::Char => ["char", "u8", "Char", "char"],
         }
     }
 
@@ -76,6 +76,11 @@ impl Scalar {
     /// The variant of `uorb_core::FieldType`.
     pub(crate) const fn kind_name(self) -> &'static str {
         self.names()[2]
+    }
+
+    /// The type in C, in C++, and in `o_fields`.
+    pub(crate) const fn c_name(self) -> &'static str {
+        self.names()[3]
     }
 
     pub(crate) const fn size_bytes(self) -> u32 {
