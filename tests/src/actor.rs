@@ -9,7 +9,9 @@ use std::io::{BufRead, BufReader, Write, stdin};
 use std::os::fd::AsFd;
 use std::path::Path;
 use std::process::{Command, ExitCode, Output, Stdio};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use nix::mount::{MsFlags, mount};
@@ -42,6 +44,7 @@ fn main() -> ExitCode {
         ["wait-and-hold", count] => wait_and_hold(number(count)),
         ["hold-and-drop", count] => hold_and_drop(number(count)),
         ["hot-path"] => hot_path(),
+        ["wait-between-marks"] => wait_between_marks(),
         ["hot-path-of-a-stream"] => hot_path_of_a_stream(),
         ["publish-accel"] => publish_accel(),
         ["fill-small-memory"] => fill_small_memory(),
@@ -404,6 +407,37 @@ unsafe impl GlobalAlloc for CountingAllocator {
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+/// Waits a hundred times, between two marks, for what another thread publishes
+/// as soon as it does.
+fn wait_between_marks() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Publication::<Stamped>::advertise(&session)?;
+    let mut subscription = Subscription::<Stamped>::subscribe(&session)?;
+    // What a process before this one has published last.
+    subscription.copy();
+    let waits = Arc::new(AtomicU64::new(0));
+    let waited = waits.clone();
+    let publisher = thread::spawn(move || {
+        for count in 0..100 {
+            while waited.load(Ordering::Acquire) == count {
+                thread::yield_now();
+            }
+            stamped.publish(&Stamped::new(count, 1)).expect("the system has not ended");
+        }
+    });
+    println!("ready");
+    heard();
+    nix::unistd::getppid();
+    for count in 0..100 {
+        waits.store(count + 1, Ordering::Release);
+        assert_eq!(poll(&mut [&mut subscription], None)?, 1);
+        assert_eq!(subscription.copy().map(|message| message.count), Some(count));
+    }
+    nix::unistd::getppid();
+    publisher.join().expect("it did not panic");
+    Ok(())
+}
 
 /// Publishes, looks and copies between two marks that a tracer can see: two
 /// calls of getppid(2). Says how much it allocated in between.

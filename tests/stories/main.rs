@@ -4,6 +4,8 @@
 mod all_messages;
 /// One publisher, one subscriber, and what they may expect of each other.
 mod basics;
+/// C programs that fork, have threads, and publish from signal handlers.
+mod c_processes;
 /// `uorb start`, `stop` and `status`.
 mod command;
 /// Several processes on one node.

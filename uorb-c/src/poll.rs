@@ -5,10 +5,12 @@
 //! kinds may stand among them; closed ones are passed over, as in PX4.
 
 use std::ffi::{c_int, c_uint};
+use std::hint::spin_loop;
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 use nix::libc::{self, POLLIN, POLLNVAL, pollfd, timespec};
+use uorb_core::spin_time;
 
 use crate::failure::{errno_of, fail};
 use crate::handles::subscription;
@@ -23,30 +25,51 @@ pub(crate) unsafe extern "C" fn px4_poll(fds: *mut pollfd, nfds: c_uint, timeout
     }
     // SAFETY: the caller's word.
     let fds = unsafe { std::slice::from_raw_parts_mut(fds, nfds as usize) };
+    let found = look(fds);
+    if found.updated > 0 && found.others == 0 {
+        return found.updated as c_int;
+    }
     let timeout = u64::try_from(timeout).ok().map(Duration::from_millis);
-    let deadline = timeout.map(|timeout| Instant::now() + timeout);
+    match wait(fds, found, timeout) {
+        Ok(ready) => ready as c_int,
+        Err(Errno::EINTR) => 0,
+        Err(errno) => fail(errno),
+    }
+}
+
+/// Waits until something is ready, or the time is over. Returns how many are.
+fn wait(fds: &mut [pollfd], mut found: Found, timeout: Option<Duration>) -> Result<usize, Errno> {
+    let begun = Instant::now();
+    let spins_to = spin_time().min(timeout.unwrap_or(Duration::MAX));
+    while found.updated == 0 && begun.elapsed() < spins_to {
+        if fds.iter().any(is_pending) {
+            found = look(fds);
+        }
+        spin_loop();
+    }
     loop {
-        let found = look(fds);
-        if found.updated == fds.len() || found.updated > 0 && found.others == 0 {
-            return found.updated as c_int;
-        }
         if let (0, Some(errno)) = (found.updated, found.hindrance) {
-            return fail(errno);
+            return Err(errno);
         }
-        let rest = match (found.updated, deadline) {
-            // What else is ready is reported together with them.
-            (1.., _) => Some(Duration::ZERO),
-            (0, Some(deadline)) => Some(deadline.saturating_duration_since(Instant::now())),
-            (0, None) => None,
+        // What else is ready is reported together with those that are updated.
+        let rest = match found.updated {
+            0 => timeout.map(|timeout| timeout.saturating_sub(begun.elapsed())),
+            _ => Some(Duration::ZERO),
         };
-        match sleep(fds, rest) {
-            Ok(ready) if found.updated + ready > 0 => return (found.updated + ready) as c_int,
-            Ok(_) if rest == Some(Duration::ZERO) => return 0,
-            Ok(_) => {}
-            Err(Errno::EINTR) => return 0,
-            Err(errno) => return fail(errno),
+        let ready = found.updated + sleep(fds, rest)?;
+        if ready > 0 || rest == Some(Duration::ZERO) {
+            return Ok(ready);
+        }
+        found = look(fds);
+        if found.updated > 0 && found.others == 0 {
+            return Ok(found.updated);
         }
     }
+}
+
+/// Whether there is something to look at: cheaper than looking.
+fn is_pending(fd: &pollfd) -> bool {
+    subscription(fd.fd).is_some_and(|mut place| place.get().raw.pending() > 0)
 }
 
 /// What there is to know without a system call.

@@ -103,7 +103,7 @@ pub use self::{
     },
     loan::{Loan, RawLoan},
     message_hash::message_hash,
-    poll::poll,
+    poll::{SPIN_VARIABLE, poll, spin_time},
     protocol::{Claim, Mismatch, PeerInfo, Refusal},
     publication::{AdvertiseOptions, Publication, RawPublication, SharedPublication},
     session::Session,

@@ -1,6 +1,9 @@
 //! Waiting for several subscriptions at once.
 
+use std::env;
+use std::hint::spin_loop;
 use std::os::fd::AsFd;
+use std::sync::OnceLock;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -11,6 +14,9 @@ use nix::sys::time::TimeSpec;
 use crate::clock::now_us;
 use crate::error::Error;
 use crate::subscription::RawSubscription;
+
+/// The environment variable that names how long a wait spins before it sleeps.
+pub const SPIN_VARIABLE: &str = "UORB_SPIN_US";
 
 /// Waits until something can be copied from one of the subscriptions, whose
 /// intervals are over, or until `timeout` is over (None: for ever). Returns how
@@ -44,28 +50,65 @@ pub fn poll(
     subscriptions: &mut [&mut RawSubscription],
     timeout: Option<Duration>,
 ) -> Result<usize, Error> {
+    // With something to copy the time does not matter, and reading the clock
+    // would be the dearest part.
+    let updated = look(subscriptions)?;
+    if updated > 0 {
+        return Ok(updated);
+    }
     // A time too far away to be counted is none.
     let deadline = timeout.and_then(|timeout| Instant::now().checked_add(timeout));
+    let spin = spin_time();
+    let mut spin_until = (spin > Duration::ZERO).then(|| Instant::now() + spin);
     loop {
-        let mut updated = 0;
-        for subscription in subscriptions.iter_mut() {
-            // That it cannot follow a topic that is there now is an error, not
-            // a reason to wait.
-            subscription.attach()?;
-            updated += usize::from(subscription.updated());
-        }
-        if updated > 0 {
-            return Ok(updated);
-        }
-        let rest = deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
+        let now = Instant::now();
+        let rest = deadline.map(|deadline| deadline.saturating_duration_since(now));
         if rest == Some(Duration::ZERO) {
             return check(subscriptions).map(|()| 0);
         }
-        match sleep(subscriptions, rest)? {
-            Wake::LookAgain => {}
-            Wake::Signal => return Ok(0),
+        spin_until = spin_until.filter(|until| now < *until);
+        if spin_until.is_some() {
+            spin_loop();
+        } else if matches!(sleep(subscriptions, rest)?, Wake::Signal) {
+            return Ok(0);
+        }
+        let updated = look(subscriptions)?;
+        if updated > 0 {
+            return Ok(updated);
         }
     }
+}
+
+/// How long a wait looks again and again before it sleeps: what `UORB_SPIN_US`
+/// says, in microseconds; zero where it is not set. A message that comes
+/// meanwhile is seen at once, and its publisher need not wake anybody; the core
+/// is not free for anything else.
+pub fn spin_time() -> Duration {
+    static SPIN: OnceLock<Duration> = OnceLock::new();
+    *SPIN.get_or_init(|| spin_time_from_env().unwrap_or_default())
+}
+
+/// What the environment says. Joining a system checks it.
+pub(crate) fn spin_time_from_env() -> Result<Duration, Error> {
+    match env::var(SPIN_VARIABLE) {
+        Err(_) => Ok(Duration::ZERO),
+        Ok(text) => text.trim().parse().map(Duration::from_micros).map_err(|_| {
+            let expected = "a time in microseconds, 0 and up";
+            Error::BadEnvironment { variable: SPIN_VARIABLE, value: text, expected }
+        }),
+    }
+}
+
+/// How many subscriptions can be copied from.
+fn look(subscriptions: &mut [&mut RawSubscription]) -> Result<usize, Error> {
+    let mut updated = 0;
+    for subscription in subscriptions.iter_mut() {
+        // That it cannot follow a topic that is there now is an error, not a
+        // reason to wait.
+        subscription.attach()?;
+        updated += usize::from(subscription.updated());
+    }
+    Ok(updated)
 }
 
 fn check(subscriptions: &[&mut RawSubscription]) -> Result<(), Error> {

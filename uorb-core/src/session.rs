@@ -10,6 +10,7 @@ use crate::error::Error;
 use crate::layout::Layout;
 use crate::link::{Link, Waiting, unexpected};
 use crate::node::{Node, Role};
+use crate::poll::spin_time_from_env;
 use crate::protocol::{Advertise, PeerInfo, Reply, Request, Subject, Subscribe};
 use crate::stream::Member;
 use crate::stream::port::{PortCell, Streamable};
@@ -52,6 +53,7 @@ impl Session {
     ///
     /// As [`Session::connect`].
     pub fn connect_to(system: &System) -> Result<Self, Error> {
+        spin_time_from_env()?;
         let (link, thread) = Link::connect(system)?;
         Ok(Self { inner: Arc::new(Inner { link, thread: Some(thread) }) })
     }
