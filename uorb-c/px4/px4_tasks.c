@@ -10,6 +10,7 @@
  */
 
 #define _GNU_SOURCE
+#define MODULE_NAME "px4"
 
 #include <errno.h>
 #include <signal.h>
