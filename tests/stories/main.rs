@@ -4,6 +4,12 @@
 mod all_messages;
 /// One publisher, one subscriber, and what they may expect of each other.
 mod basics;
+/// Processes in C beside processes in Rust.
+mod c_and_rust;
+/// The C door: headers, symbols, functions and classes.
+mod c_door;
+/// The programs of the seed documents.
+mod c_examples;
 /// C programs that fork, have threads, and publish from signal handlers.
 mod c_processes;
 /// `uorb start`, `stop` and `status`.

@@ -178,16 +178,17 @@ impl AsFd for Descriptor {
 }
 
 /// epoll_pwait2(2): as epoll_wait, with a timeout in nanoseconds, where
-/// epoll_wait rounds to milliseconds. Linux 5.11 and later.
+/// epoll_wait rounds to milliseconds. Linux 5.11 and later; valgrind does not know
+/// it, and gets the milliseconds.
 fn epoll_wait_exactly(
     epoll: &Epoll,
     events: &mut [EpollEvent; EVENTS_MAX],
     timeout: Option<Duration>,
 ) -> Result<usize, Errno> {
-    let timeout = timeout.map(TimeSpec::from_duration);
-    let timeout = timeout.as_ref().map_or(std::ptr::null(), |timeout| timeout.as_ref());
+    let exactly = timeout.map(TimeSpec::from_duration);
+    let exactly = exactly.as_ref().map_or(std::ptr::null(), |timeout| timeout.as_ref());
     // SAFETY: `events` has room for EVENTS_MAX events, and nix's event is the
-    // kernel's by `repr(transparent)`; `timeout` is null or points to a timespec
+    // kernel's by `repr(transparent)`; `exactly` is null or points to a timespec
     // that lives through the call; a null signal mask needs no size.
     let count = unsafe {
         libc::syscall(
@@ -195,10 +196,19 @@ fn epoll_wait_exactly(
             epoll.0.as_raw_fd(),
             events.as_mut_ptr(),
             EVENTS_MAX,
-            timeout,
+            exactly,
             std::ptr::null::<libc::sigset_t>(),
             0,
         )
     };
-    Errno::result(count).map(|count| count as usize)
+    match Errno::result(count) {
+        Err(Errno::ENOSYS) => {
+            let up = |timeout: Duration| timeout + Duration::from_nanos(999_999);
+            let timeout = timeout.map_or(EpollTimeout::NONE, |timeout| {
+                EpollTimeout::try_from(up(timeout)).unwrap_or(EpollTimeout::MAX)
+            });
+            epoll.wait(events, timeout)
+        }
+        result => result.map(|count| count as usize),
+    }
 }
