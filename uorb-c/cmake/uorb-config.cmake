@@ -79,9 +79,13 @@ function(px4_add_module)
 		message(FATAL_ERROR "px4_add_module(${PX4_MODULE}): the project needs the language C, too")
 	endif()
 
-	add_executable(${PX4_MAIN} ${PX4_SRCS} "${UORB_PX4_MAIN}")
-	target_compile_definitions(${PX4_MAIN} PRIVATE
-		PX4_MAIN=${PX4_MAIN} MODULE_NAME="${PX4_MAIN}")
+	# By itself: the module's own sources may use the name PX4_MAIN.
+	add_library(${PX4_MODULE}_px4_main OBJECT "${UORB_PX4_MAIN}")
+	target_compile_definitions(${PX4_MODULE}_px4_main PRIVATE PX4_MAIN=${PX4_MAIN})
+	target_link_libraries(${PX4_MODULE}_px4_main PRIVATE uorb::uorb)
+
+	add_executable(${PX4_MAIN} ${PX4_SRCS} $<TARGET_OBJECTS:${PX4_MODULE}_px4_main>)
+	target_compile_definitions(${PX4_MAIN} PRIVATE MODULE_NAME="${PX4_MAIN}")
 	target_compile_options(${PX4_MAIN} PRIVATE ${PX4_COMPILE_FLAGS})
 	target_include_directories(${PX4_MAIN} PRIVATE "${CMAKE_CURRENT_SOURCE_DIR}" ${PX4_INCLUDES})
 	foreach(depend ${PX4_DEPENDS})

@@ -116,7 +116,8 @@ const struct orb_metadata *get_orb_meta(uorb_topic_number_t id)
 {
 	const size_t place = (size_t)id;
 
-	return place < ORB_TOPICS_COUNT ? uorb_topics[place] : NULL;
+	/* The last one is INVALID's. */
+	return place <= ORB_TOPICS_COUNT ? uorb_topics[place] : NULL;
 }
 ",
     );
