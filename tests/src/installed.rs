@@ -47,7 +47,8 @@ impl Installed {
 
     /// Compiles and links sources with the flags of `pkg-config uorb`. The program
     /// has a name that no other story uses. Warnings are errors, which flags can
-    /// change. Err: what the compiler says.
+    /// change. Err: what the compiler says. A story asks first whether
+    /// [`is_there`] a `c++` and a `pkg-config`; a `cc` is wherever cargo is.
     pub fn compile(
         &self,
         language: Language,

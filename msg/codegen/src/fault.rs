@@ -27,7 +27,7 @@ impl fmt::Display for Fault {
     }
 }
 
-/// Why no Rust module was written.
+/// Why nothing was written.
 #[derive(thiserror::Error)]
 pub enum Error {
     /// The messages have mistakes: all that were found, by file and line.
@@ -35,7 +35,7 @@ pub enum Error {
     #[error("{}", list(.0))]
     Messages(Vec<Fault>),
     /// A folder or file cannot be read or written. Check the path that was
-    /// given to [`crate::compile`]; it is relative to the crate's own folder.
+    /// given to [`crate::compile`]; there it is relative to the crate's own folder.
     #[error("{}: {source}", path.display())]
     File {
         /// The path, as it was tried.

@@ -164,7 +164,13 @@ impl Config {
         Ok(Generated { rust, warnings: messages.warnings })
     }
 
-    /// Makes the headers and sources of C and C++ and returns them.
+    /// Makes the headers and sources of C and C++ and returns them: for each
+    /// message `include/uORB/topics/<message>.h` and `src/<message>.c`, and for
+    /// all of them `uORBTopics.h`, `uORBTopics.hpp` and `uORBTopics.c`.
+    ///
+    /// Names that are words of these languages are faults here, besides those
+    /// that are anywhere. Messages of more than 65,535 bytes are left out, with
+    /// a warning.
     pub fn generate_c(&self) -> Result<GeneratedC, Error> {
         let mut messages = self.read()?;
         c::refuse_names(&mut messages);
