@@ -355,8 +355,23 @@ static void an_interval_hides_updates_until_it_ends()
 	CHECK(sub.update(&message));
 	CHECK_EQUAL(message.n, 3);
 
-	// A copy that was late takes nothing from the next: they are one interval
-	// apart on average.
+	// A copy that is late by half an interval leaves half of one to the next, and
+	// however late it is, two updates follow each other, but not three.
+	const hrt_abstime now = hrt_absolute_time();
+	const uint32_t part_us = now / 8 < HOUR_US / 8 ? now / 8 : HOUR_US / 8;
+	sub.set_interval_us(part_us);
+	sub.set_last_update(now - part_us - part_us / 2);
+	CHECK(pub.publish(number_s{4}) && sub.update(&message) && pub.publish(number_s{5}));
+	sub.set_interval_us(part_us / 2);
+	CHECK(sub.updated());
+	sub.set_interval_us(part_us);
+	sub.set_last_update(now - 8 * part_us + 1);
+	CHECK(sub.update(&message) && pub.publish(number_s{6}));
+	CHECK(sub.updated());
+	sub.set_interval_us(4 * part_us);
+	CHECK(!sub.updated());
+
+	// They are one interval apart on average.
 	constexpr uint32_t INTERVAL_US = 20 * 1000;
 	sub.set_interval_us(INTERVAL_US);
 	const hrt_abstime start = hrt_absolute_time();

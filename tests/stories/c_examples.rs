@@ -1,5 +1,6 @@
 //! The programs of the seed documents, compiled and run as they stand there.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
@@ -224,6 +225,36 @@ fn a_definition_with_five_arguments_is_the_topic_that_others_know() {
     );
     let acceleration = bus.subscribe::<VehicleAcceleration>().copy();
     assert_eq!(acceleration.expect("it outlives its publisher").xyz, [0.0, 0.0, -9.81]);
+}
+
+#[test]
+fn the_lines_of_the_readme_build_every_example() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../uorb-c/examples");
+    let here = Path::new(env!("CARGO_TARGET_TMPDIR")).join("examples");
+    let _ = fs::remove_dir_all(&here);
+    fs::create_dir_all(here.join("topics")).unwrap();
+    for file in ["", "topics"] {
+        for entry in fs::read_dir(folder.join(file)).unwrap().flatten() {
+            if entry.path().is_file() {
+                fs::copy(entry.path(), here.join(file).join(entry.file_name())).unwrap();
+            }
+        }
+    }
+    let readme = fs::read_to_string(folder.join("README.md")).unwrap();
+    let is_compiler = |line: &&str| line.starts_with("    cc ") || line.starts_with("    c++ ");
+    let lines: Vec<&str> = readme.lines().filter(is_compiler).collect();
+    assert_eq!(lines.len(), 10);
+    let mut shell = Installed::get().command("sh");
+    shell.current_dir(&here).args(["-euc", &lines.join("\n")]);
+    let done = shell.output().expect("a shell");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+
+    // Every source is in one of them.
+    for entry in fs::read_dir(&here).unwrap().flatten() {
+        let name = entry.file_name().into_string().unwrap();
+        let is_source = name.ends_with(".c") || name.ends_with(".cpp");
+        assert!(!is_source || lines.iter().any(|line| line.contains(&name)), "{name}");
+    }
 }
 
 #[test]
