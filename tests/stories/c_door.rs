@@ -148,6 +148,27 @@ fn a_module_has_px4s_tasks_log_time_and_options() {
     );
 }
 
+#[test]
+fn the_classes_bring_px4s_words_to_modules_and_to_nobody_else() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("words");
+    fs::create_dir_all(&folder).unwrap();
+    let classes = "#include <uORB/PublicationMulti.hpp>\n\
+        #include <uORB/SubscriptionBlocking.hpp>\n\
+        #include <uORB/SubscriptionMultiArray.hpp>\n";
+    let compile = |name: &str, text: &str, flags: &[&str]| {
+        let source = folder.join(format!("{name}.cpp"));
+        fs::write(&source, format!("{classes}{text}")).unwrap();
+        let program = Installed::get().compile(Language::Cpp, &[&source], name, flags);
+        program.unwrap_or_else(|words| panic!("{words}"));
+    };
+    let module = "int main() { PX4_INFO(\"%d\", hrt_absolute_time() > 0); return PX4_OK + OK; }";
+    compile("words_of_px4", module, &["-DMODULE_NAME=\"words\""]);
+    let other = "enum class Status { OK, ERROR };\n\
+        static int warn(int err) { return err; }\n\
+        int main() { return warn(static_cast<int>(Status::OK)); }";
+    compile("words_of_others", other, &[]);
+}
+
 /// All headers below a directory.
 fn headers(directory: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(directory).expect("it is installed").flatten();

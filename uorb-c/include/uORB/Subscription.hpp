@@ -21,8 +21,8 @@
 #include <uORB/uORBFollower.h>
 #include <uORB/topics/uORBTopics.hpp>
 
-// What PX4's programs get from this header; for those alone that look for PX4's.
-#if __has_include(<px4_platform_common/defines.h>)
+// What modules of PX4 get from this header. Others may have an OK of their own.
+#if defined(PX4_MAIN) || defined(MODULE_NAME)
 # include <px4_platform_common/defines.h>
 #endif
 

@@ -15,8 +15,8 @@
 
 #include <uORB/Subscription.hpp>
 
-// What PX4's programs get from this header; for those alone that look for PX4's.
-#if __has_include(<drivers/drv_hrt.h>)
+// What modules of PX4 get from this header. Others may have an OK of their own.
+#if defined(PX4_MAIN) || defined(MODULE_NAME)
 # include <drivers/drv_hrt.h>
 #endif
 
