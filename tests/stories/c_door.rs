@@ -265,7 +265,8 @@ fn the_library_exports_exactly_what_its_headers_declare() {
 pub(crate) fn valgrind(bus: &Bus, name: &str, program: &Path, arguments: &[&str], until: &str) {
     let log = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("valgrind-{name}.txt"));
     let mut command = bus.command(Path::new("valgrind"));
-    command.args(["--leak-check=full", "--errors-for-leak-kinds=definite"]);
+    // Fair: a thread that is busy would keep the others from ever running.
+    command.args(["--leak-check=full", "--errors-for-leak-kinds=definite", "--fair-sched=try"]);
     command.arg(format!("--log-file={}", log.display())).arg(program).args(arguments);
     let mut actor = Actor::spawn(command);
     if !until.is_empty() {
