@@ -74,7 +74,6 @@ fn a_signal_handler_publishes_while_somebody_follows_the_stream() {
             .unwrap();
     program.say("go");
     let line = program.line().expect("it does not hang");
-    program.finish();
     let [by_program, by_handler, 0] = numbers(&line)[..] else { panic!("{line}") };
 
     let mut seen = [0; 2];
@@ -87,6 +86,7 @@ fn a_signal_handler_publishes_while_somebody_follows_the_stream() {
         seen[writer as usize] = number;
         received += 1;
     }
+    program.finish();
     assert_eq!(received + every.lost(), by_program + by_handler);
     // What it sends from outside the handler arrives, as far as the queue goes.
     assert!(received > 100, "{received} received, {} lost", every.lost());
