@@ -9,7 +9,7 @@ use uorb_core::{
 };
 
 use crate::failure::{ERROR, OK, errno_of, fail, fail_aloud};
-use crate::handles::{Advertised, publication, put_publication, take_publication};
+use crate::handles::{Advertised, end_publication, publication, put_publication};
 use crate::metadata::OrbMetadata;
 use crate::session::session;
 use crate::signals::NoSignals;
@@ -136,13 +136,7 @@ pub(crate) extern "C" fn orb_unadvertise(handle: c_int) -> c_int {
     if handle <= 0 {
         return fail(Errno::EINVAL);
     }
-    match take_publication(handle) {
-        Some(advertised) => {
-            drop(advertised);
-            OK
-        }
-        None => fail(Errno::EBADF),
-    }
+    if end_publication(handle) { OK } else { fail(Errno::EBADF) }
 }
 
 /// # Safety
