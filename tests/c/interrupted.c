@@ -56,7 +56,9 @@ int main(void)
 	/* Somebody may want to follow first. */
 	puts("ready");
 	fflush(stdout);
-	getchar();
+
+	while (getchar() != '\n') {
+	}
 
 	struct sigaction action;
 	memset(&action, 0, sizeof(action));
@@ -83,5 +85,8 @@ int main(void)
 
 	setitimer(ITIMER_REAL, &never, NULL);
 	printf("%d by the program, %d by the handler, %d refused\n", published, (int)handled, (int)refused);
+	fflush(stdout);
+	/* What is on a stream goes with its publisher. */
+	getchar();
 	return 0;
 }

@@ -7,10 +7,10 @@ use uorb_tests::{Bus, Installed, Language};
 
 const SOURCES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/c");
 
-/// Compiles one of the programs in tests/c.
-fn compile(name: &str) -> std::path::PathBuf {
+/// Compiles one of the programs in tests/c, under a name of the story's own.
+fn compile(name: &str, as_name: &str) -> std::path::PathBuf {
     let source = Path::new(SOURCES).join(format!("{name}.c"));
-    let program = Installed::get().compile(Language::C, &[&source], name, &["-pthread"]);
+    let program = Installed::get().compile(Language::C, &[&source], as_name, &["-pthread"]);
     program.unwrap_or_else(|words| panic!("{words}"))
 }
 
@@ -38,7 +38,7 @@ impl Interrupted {
 #[test]
 fn a_signal_handler_publishes_into_the_topic_that_it_interrupted() {
     let mut bus = Bus::start();
-    let mut program = bus.spawn_program(&compile("interrupted"), &[]);
+    let mut program = bus.spawn_program(&compile("interrupted", "interrupted"), &[]);
     program.expect("ready");
     let session = bus.session();
     let subscribe =
@@ -65,7 +65,7 @@ fn a_signal_handler_publishes_into_the_topic_that_it_interrupted() {
 #[test]
 fn a_signal_handler_publishes_while_somebody_follows_the_stream() {
     let mut bus = Bus::start();
-    let mut program = bus.spawn_program(&compile("interrupted"), &[]);
+    let mut program = bus.spawn_program(&compile("interrupted", "interrupted-and-followed"), &[]);
     program.expect("ready");
     let session = bus.session();
     let options = StreamOptions::default();
@@ -74,7 +74,6 @@ fn a_signal_handler_publishes_while_somebody_follows_the_stream() {
             .unwrap();
     program.say("go");
     let line = program.line().expect("it does not hang");
-    program.finish();
     let [by_program, by_handler, 0] = numbers(&line)[..] else { panic!("{line}") };
 
     let mut seen = [0; 2];
@@ -87,6 +86,7 @@ fn a_signal_handler_publishes_while_somebody_follows_the_stream() {
         seen[writer as usize] = number;
         received += 1;
     }
+    program.finish();
     assert_eq!(received + every.lost(), by_program + by_handler);
     // What it sends from outside the handler arrives, as far as the queue goes.
     assert!(received > 100, "{received} received, {} lost", every.lost());
@@ -95,13 +95,13 @@ fn a_signal_handler_publishes_while_somebody_follows_the_stream() {
 #[test]
 fn the_child_of_a_fork_has_handles_of_its_own_and_harms_none_of_its_parents() {
     let bus = Bus::start();
-    let mut program = bus.spawn_program(&compile("forked"), &[]);
+    let mut program = bus.spawn_program(&compile("forked", "forked"), &[]);
     assert_eq!(program.finish(), [""; 0]);
 }
 
 #[test]
 fn threads_share_a_publication_and_open_and_close_handles_beside_each_other() {
     let bus = Bus::start();
-    let mut program = bus.spawn_program(&compile("threaded"), &[]);
+    let mut program = bus.spawn_program(&compile("threaded", "threaded"), &[]);
     assert_eq!(program.finish(), [""; 0]);
 }

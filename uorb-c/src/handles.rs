@@ -7,7 +7,7 @@
 
 use std::ffi::c_int;
 use std::ops::Deref;
-use std::sync::atomic::{AtomicI32, AtomicPtr, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicI32, AtomicPtr, AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 use std::thread;
 use std::time::Duration;
@@ -15,8 +15,14 @@ use std::time::Duration;
 use uorb_core::{RawSubscription, SharedPublication};
 
 use crate::metadata::OrbMetadata;
+use crate::per_process::{PerProcess, is_child};
 
 const CHUNK: usize = 1_024;
+
+/// How often, and how long between, the child of a fork looks whether something
+/// is still in use: a thread of the parent that was using it does not exist.
+const PATIENCE: u32 = 1_000;
+const LOOK_INTERVAL: Duration = Duration::from_micros(50);
 
 /// An array that grows: `CHUNKS` chunks, each made when it is first needed.
 struct Growing<T: 'static, const CHUNKS: usize> {
@@ -105,15 +111,14 @@ pub(crate) fn take_subscription(descriptor: c_int) -> Option<Box<Subscribed>> {
 
 /// None: a thread that a fork has left behind holds it, and will for ever.
 fn lock(place: &'static Place) -> Option<MutexGuard<'static, Option<Box<Subscribed>>>> {
-    if !crate::per_process::is_child() {
+    if !is_child() {
         return Some(place.lock().unwrap_or_else(PoisonError::into_inner));
     }
-    const PATIENCE: u32 = 1_000;
     for _ in 0..PATIENCE {
         match place.try_lock() {
             Ok(guard) => return Some(guard),
             Err(TryLockError::Poisoned(poisoned)) => return Some(poisoned.into_inner()),
-            Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_micros(100)),
+            Err(TryLockError::WouldBlock) => thread::sleep(LOOK_INTERVAL),
         }
     }
     None
@@ -144,8 +149,11 @@ const PUBLICATIONS_MAX: usize = 64 * CHUNK;
 
 static PUBLICATIONS: Growing<Entry, 64> = Growing::new();
 
-/// Places that were given up, to be used again, and how many were ever used.
-static FREE: Mutex<(Vec<usize>, usize)> = Mutex::new((Vec::new(), 0));
+/// How many places were ever used.
+static USED: AtomicUsize = AtomicUsize::new(0);
+
+/// Places that were given up, to be used again.
+static FREE: PerProcess<Mutex<Vec<usize>>> = PerProcess::new();
 
 /// The bits of a handle that are its place in the table, counted from 1.
 const PLACE_BITS: u32 = 17;
@@ -171,7 +179,7 @@ impl Deref for InUse {
 
 impl Drop for InUse {
     fn drop(&mut self) {
-        // Pairs with the load in `take_publication`: whoever sees that nobody
+        // Pairs with the load in `end_publication`: whoever sees that nobody
         // uses it comes after all that its users did.
         self.entry.users.fetch_sub(1, Ordering::Release);
     }
@@ -181,7 +189,7 @@ impl Drop for InUse {
 #[inline]
 pub(crate) fn publication(handle: c_int) -> Option<InUse> {
     let entry = entry(handle)?;
-    // Sequentially consistent, with the swap and the load in `take_publication`:
+    // Sequentially consistent, with the swap and the load in `end_publication`:
     // either that sees us, or we see that it is gone.
     entry.users.fetch_add(1, Ordering::SeqCst);
     let advertised = entry.advertised.load(Ordering::SeqCst);
@@ -200,14 +208,11 @@ pub(crate) fn publication(handle: c_int) -> Option<InUse> {
 
 /// Stores a publication and returns its handle. Err: there are too many.
 pub(crate) fn put_publication(advertised: Box<Advertised>) -> Result<c_int, Box<Advertised>> {
-    let index = {
-        let mut free = FREE.lock().unwrap_or_else(PoisonError::into_inner);
-        let (places, used) = &mut *free;
-        places.pop().or_else(|| {
-            *used += 1;
-            (*used <= PUBLICATIONS_MAX).then_some(*used - 1)
-        })
-    };
+    let free = FREE.get().lock().unwrap_or_else(PoisonError::into_inner).pop();
+    let index = free.or_else(|| {
+        let index = USED.fetch_add(1, Ordering::Relaxed);
+        (index < PUBLICATIONS_MAX).then_some(index)
+    });
     let Some((index, entry)) = index.and_then(|index| Some((index, PUBLICATIONS.make(index)?)))
     else {
         return Err(advertised);
@@ -224,20 +229,31 @@ pub(crate) fn put_publication(advertised: Box<Advertised>) -> Result<c_int, Box<
     Ok(handle)
 }
 
-/// Takes a publication out of the table, once nobody publishes on it any more:
-/// a publish waits for nobody, so that is soon.
-pub(crate) fn take_publication(handle: c_int) -> Option<Box<Advertised>> {
-    let entry = entry(handle).filter(|entry| entry.handle.load(Ordering::Relaxed) == handle)?;
+/// Ends a publication, once nobody publishes on it any more: a publish waits for
+/// nobody, so that is soon. False: there is none.
+pub(crate) fn end_publication(handle: c_int) -> bool {
+    let Some(entry) = entry(handle) else { return false };
+    if entry.handle.load(Ordering::Relaxed) != handle {
+        return false;
+    }
     let advertised = entry.advertised.swap(std::ptr::null_mut(), Ordering::SeqCst);
     if advertised.is_null() {
-        return None;
+        return false;
     }
+    let mut looks = 0;
     while entry.users.load(Ordering::SeqCst) > 0 {
-        thread::sleep(Duration::from_micros(50));
+        looks += 1;
+        if is_child() && looks > PATIENCE {
+            // A thread that the fork has left behind was publishing: what it
+            // used stays where it is, and its place is not given again.
+            return true;
+        }
+        thread::sleep(LOOK_INTERVAL);
     }
-    let place = handle & ((1 << PLACE_BITS) - 1);
-    FREE.lock().unwrap_or_else(PoisonError::into_inner).0.push(place as usize - 1);
     // SAFETY: it comes from `Box::into_raw`; the swap gave it to us alone, and
     // nobody uses it any more.
-    Some(unsafe { Box::from_raw(advertised) })
+    drop(unsafe { Box::from_raw(advertised) });
+    let place = handle & ((1 << PLACE_BITS) - 1);
+    FREE.get().lock().unwrap_or_else(PoisonError::into_inner).push(place as usize - 1);
+    true
 }

@@ -9,10 +9,10 @@ use uorb_core::{
 };
 
 use crate::failure::{ERROR, OK, errno_of, fail, fail_aloud};
-use crate::handles::{Advertised, publication, put_publication, take_publication};
+use crate::handles::{Advertised, end_publication, publication, put_publication};
 use crate::metadata::OrbMetadata;
 use crate::session::session;
-use crate::signals::may_be_in_handler;
+use crate::signals::NoSignals;
 
 /// # Safety
 ///
@@ -128,7 +128,7 @@ unsafe fn publish(
 ) -> Result<(), Error> {
     // SAFETY: the caller's word, and a message has this many bytes.
     let message = unsafe { std::slice::from_raw_parts(data.cast::<u8>(), meta.size_bytes()) };
-    shared.publish(message, || !may_be_in_handler()).map(|_| ())
+    shared.publish(message, NoSignals::outside_of_handlers).map(|_| ())
 }
 
 #[unsafe(no_mangle)]
@@ -136,13 +136,7 @@ pub(crate) extern "C" fn orb_unadvertise(handle: c_int) -> c_int {
     if handle <= 0 {
         return fail(Errno::EINVAL);
     }
-    match take_publication(handle) {
-        Some(advertised) => {
-            drop(advertised);
-            OK
-        }
-        None => fail(Errno::EBADF),
-    }
+    if end_publication(handle) { OK } else { fail(Errno::EBADF) }
 }
 
 /// # Safety

@@ -40,18 +40,19 @@ impl SharedPublication {
     }
 
     /// As [`RawPublication::publish`]. If somebody follows the stream, `may_send`
-    /// is asked whether this is a place to send from: in a signal handler it is
-    /// not, and then the message is in the node alone.
+    /// is asked whether this is a place to send from, and what it answers is
+    /// held meanwhile: in a signal handler it is not one, and then the message is
+    /// in the node alone.
     ///
     /// # Errors
     ///
     /// As [`RawPublication::publish`]; [`Error::Busy`] where more threads publish
     /// on the node at once than it has slots for.
     #[inline]
-    pub fn publish(
+    pub fn publish<Held>(
         &self,
         message: &[u8],
-        may_send: impl FnOnce() -> bool,
+        may_send: impl FnOnce() -> Option<Held>,
     ) -> Result<Generation, Error> {
         let raw = &self.raw;
         if message.len() != raw.size_bytes() {
@@ -62,11 +63,12 @@ impl SharedPublication {
             self.newest.load(Ordering::Relaxed),
             self.candidate.load(Ordering::Relaxed),
         );
-        let published = if raw.is_streamed() && may_send() {
-            self.publish_and_send(&mut writer, message)
-        } else {
-            let published = raw.node.publish(&mut writer, message);
-            published.map(Generation::from_wide).map_err(|_| raw.busy())
+        let published = match raw.is_streamed().then(may_send) {
+            Some(Some(_held)) => self.publish_and_send(&mut writer, message),
+            _ => {
+                let published = raw.node.publish(&mut writer, message);
+                published.map(Generation::from_wide).map_err(|_| raw.busy())
+            }
         };
         let (newest, candidate) = writer.hints();
         self.newest.store(newest, Ordering::Relaxed);

@@ -47,11 +47,10 @@ impl PortCell {
     ) -> Result<(), Error> {
         let _opening = self.opening.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(port) = self.port.get() {
-            // A newcomer is to have the newest large message; an ordinary one is
-            // in the node, and the next send tells of the newcomer.
-            if port.is_large {
-                port.update_connections();
-            }
+            // A newcomer is connected here and not in the middle of a publish:
+            // this takes system calls, which a signal may interrupt there. And it
+            // is to have the newest large message.
+            port.update_connections();
         } else {
             let port = Port::open(member, system, node)?;
             let (peer, handle) = publisher;
