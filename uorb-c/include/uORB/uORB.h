@@ -131,7 +131,6 @@ enum ORB_PRIO {
 	UORB_PICK_3RD(__VA_ARGS__, UORB_DEFINE_OPTIONAL_2, ORB_DECLARE_OPTIONAL, 0)(__VA_ARGS__)
 
 #define UORB_PICK_3RD(_1, _2, _3, ...) _3
-#define UORB_PICK_5TH(_1, _2, _3, _4, _5, ...) _5
 #define UORB_PICK_7TH(_1, _2, _3, _4, _5, _6, _7, ...) _7
 
 #define UORB_DEFINE_1(_name) UORB_DEFINE_2(_name, struct _name##_data)
