@@ -267,6 +267,8 @@ pub(crate) fn valgrind(bus: &Bus, name: &str, program: &Path, arguments: &[&str]
     let mut command = bus.command(Path::new("valgrind"));
     // Fair: a thread that is busy would keep the others from ever running.
     command.args(["--leak-check=full", "--errors-for-leak-kinds=definite", "--fair-sched=try"]);
+    // Nothing is left in /tmp when it is ended.
+    command.arg("--vgdb=no");
     command.arg(format!("--log-file={}", log.display())).arg(program).args(arguments);
     let mut actor = Actor::spawn(command);
     if !until.is_empty() {
