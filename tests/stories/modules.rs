@@ -7,7 +7,7 @@ use std::process::Stdio;
 
 use nix::sys::signal::Signal;
 use uorb_core::{Subscription, poll};
-use uorb_msg::{SensorAccel, SensorCombined, VehicleAttitude};
+use uorb_msg::{SensorAccel, SensorCombined, VehicleAcceleration, VehicleAttitude};
 use uorb_tests::{Actor, Bus, PATIENCE, eventually, instance, is_running, program};
 
 /// One device, or some, as a process that has advertised.
@@ -74,6 +74,24 @@ fn sensors_waits_for_the_gyroscope_which_sets_its_pace() {
     let _gyro = sensor_sim(&bus, "gyro", "gyro is sensor_gyro instance 0, priority 75");
     sensors.expect("[sensors] the gyroscope is there");
     sensors.expect("[sensors] uses accelerometer 0, priority 50");
+}
+
+#[test]
+fn sensors_publishes_how_the_vehicle_accelerates_once_for_each_reading() {
+    let mut bus = Bus::start();
+    let _sim = bus.spawn_heard("sensor_sim", &["--only", "accel0,gyro"]);
+    let _sensors = sensors(&bus);
+    let mut acceleration = bus.subscribe::<VehicleAcceleration>();
+    let mut sampled = 0;
+    for _ in 0..20 {
+        assert_eq!(poll(&mut [&mut acceleration], Some(PATIENCE)).unwrap(), 1);
+        let message = acceleration.update().expect("it was updated");
+        assert!(
+            message.timestamp_sample > sampled && message.timestamp >= message.timestamp_sample
+        );
+        sampled = message.timestamp_sample;
+        assert!((-11.0..-8.5).contains(&message.xyz[2]), "gravity is {:?}", message.xyz);
+    }
 }
 
 #[test]
@@ -372,7 +390,7 @@ fn rc_sensors_feeds_the_listener() {
     assert_eq!(
         nodes,
         "sensor_accel0\nsensor_accel1\nsensor_accel2\nsensor_baro0\nsensor_combined0\n\
-         sensor_gyro0\nsensor_mag0\nvehicle_gps_position0\n"
+         sensor_gyro0\nsensor_mag0\nvehicle_acceleration0\nvehicle_gps_position0\n"
     );
     assert!(bus.session().exists("sensor_accel", instance(2)).unwrap());
     // They are nobody's children, and end with the system.

@@ -16,6 +16,7 @@
  *   A handle that is none, or none any more, is EBADF.
  * - All may be called from any thread. Let one thread use one subscription:
  *   a copy in another takes its update away. Publications may be shared freely.
+ *   A thread that is inside of one must not be cancelled (pthread_cancel).
  * - orb_publish may be called from a signal handler, also of a topic that the
  *   signal interrupts while it is published; no other function may.
  * - In the child of a fork the parent's handles fail with EPERM; copy and check

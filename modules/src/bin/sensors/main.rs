@@ -1,4 +1,5 @@
-//! Makes one message of what all the sensors measure: sensor_combined.
+//! Makes one message of what all the sensors measure, sensor_combined, and one of
+//! how the vehicle accelerates, vehicle_acceleration.
 //!
 //! The gyroscope sets the pace: every reading of it is a message with its
 //! timestamp, and the others' newest readings go along, with how much older
@@ -18,7 +19,9 @@ use clap::Parser;
 use uorb_core::{Instance, Publication, Session, Subscription, Topic, now_us, poll};
 use uorb_modules::search::Search;
 use uorb_modules::{Outcome, Stop, run};
-use uorb_msg::{SensorAccel, SensorBaro, SensorCombined, SensorGyro, SensorMag};
+use uorb_msg::{
+    SensorAccel, SensorBaro, SensorCombined, SensorGyro, SensorMag, VehicleAcceleration,
+};
 
 use choice::{Candidate, choose, usable_since_us};
 
@@ -60,7 +63,9 @@ fn combine(arguments: &Arguments, stop: &Stop, out: &mut impl Write) -> Outcome 
     let mut baro_sub = Subscription::<SensorBaro>::subscribe(&session)?;
     let mut accels = Accelerometers::new(u64::from(arguments.timeout_ms) * 1_000);
     let mut combined_pub = Publication::<SensorCombined>::advertise(&session)?;
+    let mut acceleration_pub = Publication::<VehicleAcceleration>::advertise(&session)?;
 
+    let mut last_sample = 0;
     let mut has_gyro = true;
     while !stop.requested() {
         let updated = poll(&mut [&mut gyro_sub], Some(Duration::from_secs(1)))?;
@@ -80,6 +85,11 @@ fn combine(arguments: &Arguments, stop: &Stop, out: &mut impl Write) -> Outcome 
             let mag = recent(&mut mag_sub, SLOW_TIMEOUT_US);
             let baro = recent(&mut baro_sub, SLOW_TIMEOUT_US);
             combined_pub.publish(&combined(&gyro, accel.as_ref(), mag.as_ref(), baro.as_ref()))?;
+            let accel = accel.filter(|accel| accel.timestamp != last_sample);
+            if let Some(accel) = accel {
+                last_sample = accel.timestamp;
+                acceleration_pub.publish(&acceleration(&accel))?;
+            }
         }
     }
     Ok(())
@@ -121,6 +131,15 @@ fn combined(
         combined.baro_temp_celcius = baro.temperature;
     }
     combined
+}
+
+/// How the vehicle accelerates. PX4 corrects it for the sensor's bias, of which
+/// nothing is known here.
+fn acceleration(accel: &SensorAccel) -> VehicleAcceleration {
+    let integrated = [accel.x_integral, accel.y_integral, accel.z_integral];
+    let (xyz, _) = mean([accel.x, accel.y, accel.z], integrated, accel.integral_dt);
+    let timestamp = now_us();
+    VehicleAcceleration { timestamp, timestamp_sample: accel.timestamp, xyz, ..Default::default() }
 }
 
 /// The mean over the sampling period, and its length in seconds. A sensor that
