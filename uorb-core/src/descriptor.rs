@@ -12,7 +12,7 @@
 #![allow(unsafe_code)]
 
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -37,10 +37,19 @@ pub(crate) struct Descriptor {
     muted: AtomicBool,
     /// Whether the last asking for the bell has not been answered yet.
     armed: AtomicBool,
+    /// What the node's `rung` was when the descriptor was last made unreadable,
+    /// and how often it was believed since that nothing has happened to it.
+    rung: AtomicU64,
+    believed: AtomicU32,
+    /// When the timer wakes, while the bell is muted.
+    muted_until_us: AtomicU64,
     /// Whether somebody outside holds the descriptor, who expects it to be
     /// readable exactly while there is something to copy.
     pub(crate) is_public: AtomicBool,
 }
+
+/// How often it is believed that a descriptor is as it was left.
+const BELIEVED_MAX: u32 = 64;
 
 const BELL: u64 = 0;
 const TIMER: u64 = 1;
@@ -64,6 +73,9 @@ impl Descriptor {
             timer: OnceLock::new(),
             muted: AtomicBool::new(false),
             armed: AtomicBool::new(false),
+            rung: AtomicU64::new(0),
+            believed: AtomicU32::new(0),
+            muted_until_us: AtomicU64::new(0),
             is_public: AtomicBool::new(false),
         };
         if let Some(node) = node {
@@ -90,7 +102,34 @@ impl Descriptor {
         let _ = self.epoll.delete(&waiting.event);
     }
 
-    /// Makes the descriptor unreadable. Whether the bell had rung.
+    /// Whether it need not be looked at again: the bell was asked for, and has not
+    /// rung since, as far as its node says; or, in an interval, the timer is set.
+    ///
+    /// The node does not say all (the broker rings, too), and says it a moment
+    /// late. So this is not believed for ever.
+    pub(crate) fn is_settled(&self, node: &Node, due_us: Option<u64>) -> bool {
+        let is_settled = match due_us {
+            Some(due_us) => {
+                self.is_muted() && self.muted_until_us.load(Ordering::Relaxed) == due_us
+            }
+            None => {
+                !self.is_muted()
+                    && self.armed.load(Ordering::Relaxed)
+                    && self.rung.load(Ordering::Relaxed) == node.rung()
+            }
+        };
+        is_settled && self.believed.fetch_add(1, Ordering::Relaxed) < BELIEVED_MAX
+    }
+
+    /// Makes the descriptor of a subscription to `node` unreadable.
+    pub(crate) fn make_unreadable(&self, node: &Node) {
+        // Before: a ring that comes in between is one to look at again.
+        self.rung.store(node.rung(), Ordering::Relaxed);
+        self.believed.store(0, Ordering::Relaxed);
+        self.consume();
+    }
+
+    /// Takes the events out. Whether there were any.
     pub(crate) fn consume(&self) -> bool {
         self.wait(Some(Duration::ZERO)).unwrap_or(false)
     }
@@ -137,6 +176,7 @@ impl Descriptor {
         if !self.muted.swap(true, Ordering::Relaxed) {
             self.set_bell(EpollFlags::empty());
         }
+        self.muted_until_us.store(due_us, Ordering::Relaxed);
         // Setting it takes back an expiration that nobody has read.
         let timer = self.timer()?;
         let due = TimeSpec::from_duration(Duration::from_micros(due_us.max(1)));

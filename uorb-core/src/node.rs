@@ -331,6 +331,11 @@ impl Node {
         bell::ask(&self.doorbell.words()[doorbell::ASKED]);
     }
 
+    /// What tells that a publisher has rung the bell since.
+    pub(crate) fn rung(&self) -> u64 {
+        self.ring().map_or(0, |mapped| mapped.rung.load(Ordering::Relaxed))
+    }
+
     /// Where a new subscription begins: before the newest message, so that it
     /// is pending, if there is one.
     pub(crate) fn cursor_of_newcomer(&self) -> u64 {

@@ -176,7 +176,7 @@ impl RawSubscription {
     fn updated_with_care(&self, has_newer: bool) -> bool {
         let updated = has_newer && !self.is_corrupt && self.is_due();
         if !updated {
-            self.settle();
+            self.settle_if_need_be();
         }
         updated
     }

@@ -31,7 +31,7 @@ impl RawSubscription {
             && now_us() < pace.due_us()
         {
             // The timer says when to look again, whatever is published.
-            descriptor.consume();
+            descriptor.make_unreadable(node);
             if descriptor.mute_until(pace.due_us()).is_ok() {
                 return;
             }
@@ -43,10 +43,19 @@ impl RawSubscription {
         if node.has_newer(self.cursor) && !self.is_corrupt {
             return;
         }
-        descriptor.consume();
+        descriptor.make_unreadable(node);
         if descriptor.ask(node, self.cursor) && !self.is_corrupt {
             // It came in between, and its ring may have been consumed.
             descriptor.hear_bell();
+        }
+    }
+
+    /// As `settle`, where nothing was copied: a program that looks again and again
+    /// makes no system call each time.
+    pub(super) fn settle_if_need_be(&self) {
+        let (Some(descriptor), Some(node)) = (self.descriptor.get(), &self.node) else { return };
+        if self.is_corrupt || !descriptor.is_settled(node, self.hold_off_until_us()) {
+            self.settle();
         }
     }
 
