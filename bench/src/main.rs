@@ -51,6 +51,8 @@ fn main() -> anyhow::Result<()> {
     let args = parse(std::env::args().skip(1))?;
     create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
 
+    #[cfg(feature = "zenoh")]
+    let _leftovers = doors::zenoh::Leftovers::of_others();
     let cores = Cores::of_this_process();
     let machine = machine::describe(cores);
     let mut run = Run { figures: Figures::new(args.effort), cores };

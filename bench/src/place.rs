@@ -101,6 +101,16 @@ impl Place {
         })
     }
 
+    /// All of them, one after the other: what keeps cores awake in one must not
+    /// run in another.
+    pub fn all(cores: Cores) -> impl Iterator<Item = Self> {
+        (0..3).filter_map(move |place| match place {
+            0 => Some(Self::one_core(cores)),
+            1 => Self::two_awake(cores),
+            _ => Some(Self::unpinned()),
+        })
+    }
+
     pub fn unpinned() -> Self {
         Self { name: "unpinned", cores: [Core::ANY; 2], _awake: Vec::new() }
     }

@@ -16,7 +16,7 @@ struct Promise {
 }
 
 pub fn print(figures: &Figures, out: &mut dyn Write) -> io::Result<()> {
-    writeln!(out, "\n{:<72} {:>8} {:>8} {:>10}", "promise", "must", "aim", "seen")?;
+    writeln!(out, "\n{:<72} {:>10} {:>10} {:>10}", "promise", "must", "aim", "seen")?;
     for Promise { what, must, aim, unit, seen } in promises(figures) {
         let verdict = match seen {
             None => "not measured",
@@ -25,8 +25,8 @@ pub fn print(figures: &Figures, out: &mut dyn Write) -> io::Result<()> {
             Some(_) => "MISSED",
         };
         let seen = seen.map_or("-".into(), |seen| format!("{seen:.3}"));
-        let limits = [must, aim].map(|limit| format!("{limit}{unit}"));
-        writeln!(out, "{what:<72} {:>8} {:>8} {seen:>10} {verdict}", limits[0], limits[1])?;
+        let limits = [must, aim].map(|limit| format!("{limit:.2}{unit}"));
+        writeln!(out, "{what:<72} {:>10} {:>10} {seen:>10} {verdict}", limits[0], limits[1])?;
     }
     Ok(())
 }

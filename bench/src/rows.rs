@@ -17,6 +17,8 @@ use uorb_tests::Bus;
 use crate::figures::Figures;
 use crate::place::Cores;
 
+type Row = fn(&mut Run, &mut Bus);
+
 /// What every row needs.
 pub struct Run {
     pub figures: Figures,
@@ -26,7 +28,7 @@ pub struct Run {
 impl Run {
     /// Everything, on one bus after the other.
     pub fn all(&mut self, wanted: &dyn Fn(&str) -> bool) {
-        let rows: [(&str, fn(&mut Self, &mut Bus)); 11] = [
+        let rows: [(&str, Row); 11] = [
             ("kernel", kernel::measure),
             ("hot", hot::measure),
             ("peers", peers::measure),

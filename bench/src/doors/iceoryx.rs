@@ -13,6 +13,8 @@ use uorb_core::{System, World};
 use super::{Door, Side, WORDS};
 
 pub type Ipc = ipc::Service;
+type Out<T> = Publisher<Ipc, T, ()>;
+type In<T> = Subscriber<Ipc, T, ()>;
 type IpcNode = iceoryx2::node::Node<Ipc>;
 
 /// More subscribers than the usual eight.
@@ -33,7 +35,7 @@ pub fn publisher_and_subscribers<T: ZeroCopySend + std::fmt::Debug + 'static>(
     system: &System,
     name: &str,
     subscribers: usize,
-) -> (Publisher<Ipc, T, ()>, Vec<Subscriber<Ipc, T, ()>>) {
+) -> (Out<T>, Vec<In<T>>) {
     let service = node(system)
         .service_builder(&name.try_into().expect("a name"))
         .publish_subscribe::<T>()
@@ -56,9 +58,9 @@ pub enum Wait {
 #[derive(Debug)]
 pub struct Ends {
     wait: Wait,
-    out: Publisher<Ipc, [u64; WORDS], ()>,
+    out: Out<[u64; WORDS]>,
     notifier: Notifier<Ipc>,
-    from: Subscriber<Ipc, [u64; WORDS], ()>,
+    from: In<[u64; WORDS]>,
     listener: Listener<Ipc>,
 }
 

@@ -1,6 +1,8 @@
 //! zenoh with its shared memory: a session in each process, joined by a Unix
 //! socket over which descriptors of the shared buffers go.
 
+use std::fs;
+use std::path::PathBuf;
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -29,6 +31,32 @@ pub fn session(system: &System, listens: bool) -> Session {
     config.insert_json5("listen/endpoints", ours).expect("endpoints");
     config.insert_json5("connect/endpoints", others).expect("endpoints");
     zenoh::open(config).wait().expect("a session")
+}
+
+/// What zenoh has left in /dev/shm by now, where processes of this run are
+/// killed; removed at its end.
+pub struct Leftovers {
+    others: Vec<PathBuf>,
+}
+
+impl Leftovers {
+    pub fn of_others() -> Self {
+        Self { others: Self::now() }
+    }
+
+    fn now() -> Vec<PathBuf> {
+        let entries = fs::read_dir("/dev/shm").into_iter().flatten().flatten();
+        let paths = entries.map(|entry| entry.path());
+        paths.filter(|path| path.extension().is_some_and(|it| it == "zenoh")).collect()
+    }
+}
+
+impl Drop for Leftovers {
+    fn drop(&mut self) {
+        for path in Self::now().iter().filter(|path| !self.others.contains(path)) {
+            let _ = fs::remove_file(path);
+        }
+    }
 }
 
 /// A publisher, and the shared memory that it publishes.

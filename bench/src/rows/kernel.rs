@@ -46,8 +46,7 @@ pub fn measure(run: &mut Run, bus: &mut Bus) {
         }
     });
     let counters = eventfd::Counters::new();
-    let places = [Some(Place::one_core(run.cores)), Place::two_awake(run.cores)];
-    for place in places.into_iter().flatten().chain([Place::unpinned()]) {
+    for place in Place::all(run.cores) {
         let eventfd = eventfd_wake(bus, &place, &counters, effort.wakes);
         run.figures.note_times(("eventfd and poll", place.name), "floor", eventfd);
         let futex = one_way(bus, &place, Meeting::by("futex"), effort.wakes);

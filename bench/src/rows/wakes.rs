@@ -27,8 +27,7 @@ pub fn measure(run: &mut Run, bus: &mut Bus) {
     let wakes = run.figures.effort.wakes;
     let counters = eventfd::Counters::new();
     let bus = &*bus;
-    let places = [Some(Place::one_core(run.cores)), Place::two_awake(run.cores)];
-    for place in places.into_iter().flatten().chain([Place::unpinned()]) {
+    for place in Place::all(run.cores) {
         let mut by_name = BY_NAME.to_vec();
         if cfg!(feature = "zenoh") {
             by_name.push(("zenoh", "zenoh"));
