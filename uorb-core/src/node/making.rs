@@ -44,6 +44,7 @@ impl Node {
         let unfinished_bell = system.unfinished().join(format!("{topic}{instance}.bell"));
         let _ = std::fs::remove_file(&unfinished_bell);
         let made = allocate(&file, file_bytes, &path).and_then(|()| {
+            fail_point!("node.allocated");
             let rename = |from: &Path, to: &Path| {
                 std::fs::rename(from, to).map_err(|error| Error::io("name", to, error))
             };
@@ -51,6 +52,7 @@ impl Node {
             mkfifo(&unfinished_bell, Mode::from_bits_truncate(0o600))
                 .map_err(|errno| Error::io("make the bell", &bell_path, errno.into()))?;
             rename(&unfinished_bell, &bell_path)?;
+            fail_point!("node.bell_named");
             rename(&unfinished, &path)
         });
         if let Err(error) = made {
@@ -58,6 +60,7 @@ impl Node {
             let _ = std::fs::remove_file(&unfinished_bell);
             return Err(error);
         }
+        fail_point!("node.named");
         Self::map(system, identity, sections, file, Role::Broker)
     }
 
@@ -76,13 +79,16 @@ impl Node {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(open) = file.as_ref() else { return Ok(()) };
         allocate(open, file_bytes, self.name().as_ref())?;
+        fail_point!("ring.allocated");
         let mapped = self.ring_in(open, queue_length, file_bytes)?;
         mapped.ring.format();
+        fail_point!("ring.formatted");
         let _ = self.ring.set(mapped);
         *file = None;
         // Pairs with the load in `mapped_ring`.
         self.counts.words()[counts::QUEUE_LENGTH]
             .store(queue_length.get().into(), Ordering::SeqCst);
+        fail_point!("ring.there");
         Ok(())
     }
 

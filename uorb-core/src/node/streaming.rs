@@ -103,6 +103,7 @@ impl Node {
                 let generation = held.generation;
                 if let Some((port, loaned)) = loaned {
                     port.send(loaned, generation, stamp);
+                    fail_point!("publish.sent");
                 }
                 held.sent();
                 generation
