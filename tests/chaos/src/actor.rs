@@ -155,7 +155,7 @@ impl Actor {
         if phase == Phase::Run || (from == Phase::Drain && phase == Phase::Quiet) {
             return false;
         }
-        self.cell.set(Word::PausedIn, round);
+        self.cell.set(Word::PausedIn, round + 1);
         while self.ledger.phase().1 != Phase::Run {
             std::thread::sleep(PAUSE);
         }

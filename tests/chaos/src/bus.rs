@@ -11,7 +11,7 @@ use nix::unistd::Pid;
 use uorb_core::now_us;
 use uorb_tests::{Bus, program};
 
-use crate::ledger::{Cell, Ledger};
+use crate::ledger::{Cell, Ledger, Word};
 
 /// What is to happen to a process at a fail point.
 #[derive(Clone, Debug)]
@@ -32,13 +32,21 @@ pub(crate) struct Broker {
     pub(crate) down_us: Vec<(u64, u64)>,
     program: PathBuf,
     /// Whether it is to die somewhere.
-    is_fated: bool,
+    fate: Option<String>,
+    /// Where it died of its fate.
+    pub(crate) died_at: Vec<String>,
 }
 
 impl Broker {
     pub(crate) fn new() -> Self {
         let program = program("uorbd-with-fail-points");
-        Self { child: None, down_us: vec![(now_us(), u64::MAX)], program, is_fated: false }
+        Self {
+            child: None,
+            down_us: vec![(now_us(), u64::MAX)],
+            program,
+            fate: None,
+            died_at: Vec::new(),
+        }
     }
 
     /// Starts one. False: it died while it started.
@@ -56,7 +64,7 @@ impl Broker {
         }
         match line.trim_end() {
             "ready" => {
-                self.is_fated = fate.is_some();
+                self.fate = fate.map(|fate| fate.place.clone());
                 self.child = Some(child);
                 if let Some(down) = self.down_us.last_mut() {
                     down.1 = now_us();
@@ -65,6 +73,7 @@ impl Broker {
             }
             "" => {
                 child.wait()?;
+                self.died_at.extend(fate.map(|fate| fate.place.clone()));
                 Ok(false)
             }
             other => anyhow::bail!("the broker says {other:?} when it starts"),
@@ -80,6 +89,7 @@ impl Broker {
         let ended = self.child.as_mut().is_some_and(|child| !matches!(child.try_wait(), Ok(None)));
         if ended {
             self.child = None;
+            self.died_at.extend(self.fate.take());
             self.down_us.push((now_us(), u64::MAX));
         }
         self.child.is_some()
@@ -87,7 +97,7 @@ impl Broker {
 
     /// Instead of one that is to die somewhere, one that is not.
     pub(crate) fn replace_the_fated(&mut self, bus: &Bus) -> anyhow::Result<()> {
-        if self.is_fated {
+        if self.fate.is_some() {
             self.kill();
         }
         if !self.runs() {
@@ -177,6 +187,21 @@ impl Process {
     pub(crate) fn kill(&mut self) {
         let _ = self.child.kill();
         self.ended = self.child.wait().ok();
+    }
+
+    /// Whether it is to stop somewhere, and may do so yet.
+    pub(crate) fn is_to_stop(&self) -> bool {
+        let fate = self.fate.as_ref();
+        self.ended.is_none() && fate.is_some_and(|fate| fate.starts_with("UORB_STOP_AT"))
+    }
+
+    /// What is known of it, where it does not do what it should.
+    pub(crate) fn describe(&self) -> String {
+        let words = [Word::State, Word::PausedIn, Word::Requests, Word::Seen];
+        let words = words.map(|word| format!("{word:?} {}", self.cell.get(word)));
+        let waits = fs::read_to_string(format!("/proc/{}/wchan", self.pid())).unwrap_or_default();
+        let (kind, pid, ended, fate) = (self.kind, self.pid(), self.ended, &self.fate);
+        format!("  {kind} {pid}: {}, in {waits}, {ended:?}, {fate:?}", words.join(", "))
     }
 
     pub(crate) fn is_stopped(&self) -> bool {

@@ -136,6 +136,11 @@ impl<'n> Era<'n> {
         while !is_so(self) {
             if Instant::now() > deadline {
                 self.fault(format!("it never came: {what}"));
+                self.processes.iter().for_each(|process| eprintln!("{}", process.describe()));
+                if std::env::var_os("CHAOS_HOLD").is_some() {
+                    eprintln!("held, pid {}", std::process::id());
+                    std::thread::sleep(Duration::from_secs(600));
+                }
                 break;
             }
             std::thread::sleep(TICK);
@@ -271,7 +276,14 @@ impl<'n> Era<'n> {
 
     /// A broker whose fate is to die of what it is asked dies now or later, and
     /// there must always be one.
+    /// And who is to stop where it re-joins stops now: it goes on at once.
     fn keep_a_broker(&mut self) {
+        for process in self.processes.iter_mut().filter(|process| process.is_to_stop()) {
+            if process.is_stopped() {
+                process.was_stopped = true;
+                signal(process.pid(), Signal::SIGCONT);
+            }
+        }
         while !self.broker.runs() {
             if let Err(error) = self.broker.start(&self.bus, None) {
                 return self.fault(format!("{error:#}"));
@@ -297,7 +309,7 @@ impl<'n> Era<'n> {
             era.processes
                 .iter_mut()
                 .filter(|process| process.publishes())
-                .all(|process| !process.lives() || process.cell.get(Word::PausedIn) == round)
+                .all(|process| !process.lives() || process.cell.get(Word::PausedIn) == round + 1)
         });
         let newest = u64::from(self.newest());
         let published = self.published();
@@ -317,7 +329,7 @@ impl<'n> Era<'n> {
             ticks += 1;
             let mut all = true;
             for process in era.processes.iter_mut().filter(|process| process.copies()) {
-                if process.lives() && process.cell.get(Word::PausedIn) != round {
+                if process.lives() && process.cell.get(Word::PausedIn) != round + 1 {
                     all = false;
                     if ticks.is_multiple_of(10) && process.cell.get(Word::State) == 1 {
                         signal(process.pid(), Signal::SIGUSR1);
@@ -436,6 +448,14 @@ impl<'n> Era<'n> {
         if counts != (publishers, subscribers) {
             self.fault(format!("counts are {counts:?}, not {:?}", (publishers, subscribers)));
         }
+        let mut holders = Vec::new();
+        self.wait_shortly("no slot is held", more_us, |era| {
+            holders = era.node().map(|node| node.slot_holders()).unwrap_or_default();
+            holders.is_empty()
+        });
+        if !holders.is_empty() {
+            self.fault(format!("slots are held by {holders:?}, and nobody publishes"));
+        }
         self.look_at_the_claimed(more_us);
         Ok(())
     }
@@ -548,8 +568,9 @@ impl<'n> Era<'n> {
         Ok(())
     }
 
-    pub(crate) fn broker_deaths(&self) -> u64 {
-        self.broker.down_us.len() as u64 - 1
+    /// How often the broker died, and where it was told to.
+    pub(crate) fn broker_deaths(&self) -> (u64, &[String]) {
+        (self.broker.down_us.len() as u64 - 1, &self.broker.died_at)
     }
 
     /// Everybody goes, and nothing is left. What was wrong.
@@ -563,18 +584,19 @@ impl<'n> Era<'n> {
         let status = self.bus.uorb(&["status", "--json"]);
         let json: Result<serde_json::Value, _> = serde_json::from_str(&status.out);
         let peers = json.as_ref().ok().and_then(|json| json["peers"].as_array().map(Vec::len));
-        // Everybody, the controller, and the command itself.
-        if status.code != 0 || peers != Some(self.processes.len() + 2) {
-            self.fault(format!("uorb status says {peers:?} processes: {}", status.words));
+        if status.code != 0 || peers != Some(living) {
+            let words = status.words;
+            self.fault(format!("uorb status says {peers:?} processes, not {living}: {words}"));
         }
         self.processes.clear();
         let ours = BTreeSet::from([std::process::id()]);
         self.wait("the broker knows that all are gone", |era| era.connected() == ours);
         let broker = self.broker.pid().unwrap_or(0);
+        let mut held = Vec::new();
         self.wait("the broker holds nothing of the dead", |_| {
-            Traces::of_the_dead(broker, &ours).is_empty()
+            held = Traces::of_the_dead(broker);
+            held.is_empty()
         });
-        let held = Traces::of_the_dead(broker, &ours);
         if !held.is_empty() {
             self.fault(format!("the broker still holds {held:?}"));
         }

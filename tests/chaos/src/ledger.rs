@@ -31,7 +31,7 @@ const LATE_WORDS: usize = 4;
 pub(crate) enum Word {
     /// 1: it does what it is for. 2: it failed, and says why.
     State,
-    /// The round in which it has paused.
+    /// The round in which it has paused, and 1.
     PausedIn,
     /// Messages whose publish was begun, and those that were published.
     Begun,

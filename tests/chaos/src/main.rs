@@ -98,7 +98,11 @@ fn rounds(seed: u64, first: u64, rounds: u64) -> anyhow::Result<usize> {
             totals.noise_us = totals.noise_us.max(noise.take_longest());
             round += 1;
         }
-        totals.broker_deaths += era.broker_deaths();
+        let (deaths, places) = era.broker_deaths();
+        totals.broker_deaths += deaths;
+        totals.deaths_at_fail_points += places.len() as u64;
+        let names = places.iter().filter_map(|place| place.split(':').next());
+        totals.places.extend(names.map(ToString::to_string));
         if !is_spoilt {
             let faults = era.end()?;
             tell(round - 1, faults);

@@ -22,7 +22,7 @@ impl Traces {
 
     /// What a process has open or mapped that is a removed file, or belongs to a
     /// process that has died.
-    pub(crate) fn of_the_dead(pid: u32, _living: &BTreeSet<u32>) -> Vec<String> {
+    pub(crate) fn of_the_dead(pid: u32) -> Vec<String> {
         let open = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
         let open = open.filter_map(|entry| fs::read_link(entry.path()).ok());
         let open = open.map(|target| target.to_string_lossy().into_owned());
