@@ -80,6 +80,20 @@ pub(crate) fn run(
     ran.is_ok()
 }
 
+/// Publishes and notes nothing: for stories that know where it dies.
+pub(crate) fn publish_until_killed(topic: &str) -> std::process::ExitCode {
+    nix::sys::prctl::set_pdeathsig(Signal::SIGKILL).expect("Linux has it");
+    let session = Session::connect().expect("a broker runs");
+    let options = AdvertiseOptions::default();
+    let mut publication =
+        RawPublication::advertise(&session, &metadata(topic), options).expect("advertised");
+    for count in 0.. {
+        publication.publish(Stamped::new(count, 1).as_bytes()).expect("the system has not ended");
+        std::thread::sleep(PAUSE);
+    }
+    std::process::ExitCode::SUCCESS
+}
+
 /// Signals end waits, and do nothing else.
 fn install_handler() {
     extern "C" fn nothing(_: libc::c_int) {}

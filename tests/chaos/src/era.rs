@@ -28,6 +28,10 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// Nobody waits longer for anything, and what the machine adds.
 pub(crate) const LIMIT_US: u64 = 100_000;
 
+/// How long the broker waits for what somebody who was killed may have left
+/// unfinished in the memory of streams.
+pub(crate) const UNFINISHED_US: u64 = 1_010_000;
+
 /// Processes beyond which no newcomer is kept.
 const CROWD: usize = 12;
 
@@ -164,6 +168,10 @@ impl<'n> Era<'n> {
         let plan = Plan::draw(&mut Random::of_round(seed, self.round));
         let began_us = now_us();
         self.stopped.clear();
+        if let Some(fate) = &plan.burial {
+            self.broker.kill();
+            while !self.broker.start(&self.bus, Some(fate))? {}
+        }
         for (kind, storm_us, fate) in &plan.newcomers {
             self.spawn(kind, *storm_us, fate.as_ref())?;
         }
@@ -449,6 +457,9 @@ impl<'n> Era<'n> {
             self.fault(format!("counts are {counts:?}, not {:?}", (publishers, subscribers)));
         }
         let mut holders = Vec::new();
+        // The streams' thread may be waiting for what iceoryx2 was making when
+        // somebody was killed.
+        let more_us = more_us + UNFINISHED_US;
         self.wait_shortly("no slot is held", more_us, |era| {
             holders = era.node().map(|node| node.slot_holders()).unwrap_or_default();
             holders.is_empty()

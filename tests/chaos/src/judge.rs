@@ -9,7 +9,7 @@
 use uorb_core::now_us;
 
 use crate::bus::Process;
-use crate::era::LIMIT_US;
+use crate::era::{LIMIT_US, UNFINISHED_US};
 use crate::ledger::{Late, LateWhat};
 use crate::noise::Noise;
 
@@ -18,7 +18,7 @@ const REJOIN_US: u64 = 300_000;
 
 /// How long a new stream waits for publishers that do not open their ports, and
 /// the broker for what somebody who was killed has left unfinished.
-const STREAM_US: u64 = 100_000 + 1_010_000;
+const STREAM_US: u64 = 100_000 + UNFINISHED_US;
 
 /// When somebody was stopped.
 #[derive(Debug)]

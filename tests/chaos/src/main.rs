@@ -52,6 +52,9 @@ fn main() -> ExitCode {
     if arguments.get(1).is_some_and(|word| word == "actor") {
         return run_actor(&arguments[2..]);
     }
+    if arguments.get(1).is_some_and(|word| word == "publish") {
+        return actor::publish_until_killed(&arguments[2]);
+    }
     let args = Args::parse();
     let seed = args.seed.unwrap_or_else(|| now_us() % 1_000_000);
     match rounds(seed, args.first, args.rounds) {

@@ -30,6 +30,9 @@ pub(crate) struct Plan {
     pub(crate) newcomers: Vec<(&'static str, u64, Option<Fate>)>,
     pub(crate) moments: Vec<Moment>,
     pub(crate) lasts_us: u64,
+    /// The round begins with a new broker that is to die while it buries
+    /// somebody, who dies in mid-publish.
+    pub(crate) burial: Option<Fate>,
     /// Where the next broker is to die, if one has to be started.
     pub(crate) next_broker: Option<Fate>,
     /// Whether newcomers that were to die and did not are kept.
@@ -49,6 +52,14 @@ impl Plan {
             let fate = (!random.once_in(3)).then(|| fate_of(kind, random));
             newcomers.push((kind, storm_us, fate));
         }
+        let burial = random.once_in(5).then(|| {
+            let mid_publish = ["claimed", "half_written", "owned", "committed", "marked", "sent"];
+            let step = random.of(&mid_publish);
+            let place = format!("publish.{step}:{}", 1 + random.below(20));
+            newcomers.push(("publisher", 0, Some(Fate { variable: "UORB_DIE_AT", place })));
+            let family = *random.of(&["bury.", "bury.", "stream.executed", "stream.freed"]);
+            place_of(&[family], 1, random)
+        });
         let mut moments = Vec::new();
         let mut dice = Random::new(random.next());
         let mut add = |odds, deed, any: bool| {
@@ -67,6 +78,7 @@ impl Plan {
             newcomers,
             moments,
             lasts_us,
+            burial,
             next_broker: random.once_in(2).then(|| broker_s_fate(random)),
             keeps_survivors: random.once_in(2),
             kills_the_stopped: random.once_in(2),
@@ -98,8 +110,14 @@ fn broker_s_fate(random: &mut Random) -> Fate {
         "start.", "adopt.", "broker.", "broker.", "node.", "ring.", "admit.", "bury.", "bury.",
         "stream.",
     ];
-    let family = *random.of(&FAMILIES);
+    let passings = if random.once_in(2) { 30 } else { 3 };
+    place_of(&FAMILIES, passings, random)
+}
+
+/// Death at a place of one of these families, at one of the first passings.
+fn place_of(families: &[&str], passings: u64, random: &mut Random) -> Fate {
+    let family = *random.of(families);
     let places: Vec<_> = FAIL_POINTS.iter().filter(|name| name.starts_with(family)).collect();
-    let passing = 1 + if family == "broker." { random.below(30) } else { random.below(3) };
-    Fate { variable: "UORB_DIE_AT", place: format!("{}:{passing}", random.of(&places)) }
+    let place = format!("{}:{}", random.of(&places), 1 + random.below(passings));
+    Fate { variable: "UORB_DIE_AT", place }
 }

@@ -1,5 +1,6 @@
 //! What only the broker does with a node: makes it, counts, ends it.
 
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::Path;
@@ -110,6 +111,15 @@ impl Node {
             mapped.ring.free_slots_of(peer);
             self.leave_ports_of(peer);
         }
+    }
+
+    /// Gives back the slots and ports of everybody who does not live: what a
+    /// broker that starts finds. The counts do not name them all, if the broker
+    /// before it died in the middle of a burial.
+    pub fn free_slots_of_the_dead(&self, lives: impl Fn(u16) -> bool) {
+        let holders = self.slot_holders().into_iter().chain(self.port_holders());
+        let dead: BTreeSet<u16> = holders.filter(|peer| !lives(*peer)).collect();
+        dead.into_iter().for_each(|peer| self.free_slots_of(peer));
     }
 
     /// Marks the node as ended: handles of it say so.

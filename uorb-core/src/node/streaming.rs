@@ -297,6 +297,12 @@ impl Node {
         }
     }
 
+    /// The peers that have ports.
+    pub(crate) fn port_holders(&self) -> Vec<u16> {
+        let keys = self.port_entries().map(|entry| entry[0].load(Ordering::Acquire) as u16);
+        keys.filter(|peer| *peer != 0).collect()
+    }
+
     /// Wakes subscriptions, for a publisher that has opened its port.
     pub(crate) fn ring_for_publisher(&self) {
         if let Some(MappedRing { bell: Some(bell), .. }) = self.ring() {

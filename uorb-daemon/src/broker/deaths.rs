@@ -181,8 +181,9 @@ impl Broker {
             node.status().publishers.into_iter().partition(|p| !self.registry.is_known(p.peer));
         for publisher in dead {
             info!("{}{}: publisher {} died meanwhile", key.0, key.1, publisher.peer);
-            node.free_slots_of(publisher.peer);
         }
+        // Those included whom the broker before us had counted out already.
+        node.free_slots_of_the_dead(|peer| self.registry.is_known(peer));
         let streams = node.stream_places();
         self.registry.adopt_node(node.identity.metadata.clone(), key.1, living, streams);
         self.nodes.insert(key.clone(), Arc::new(node));
