@@ -25,6 +25,7 @@ use crate::sync::{AtomicU64, Ordering};
 #[inline]
 pub(crate) fn ask(asked: &AtomicU64) {
     asked.fetch_add(1, Ordering::SeqCst);
+    fail_point!("copy.asked");
     loom_fence();
 }
 
@@ -34,10 +35,16 @@ pub(crate) fn ask(asked: &AtomicU64) {
 pub(crate) fn ring_if_asked(asked: &AtomicU64, rung: &AtomicU64, ring: impl FnOnce() -> bool) {
     loom_fence();
     let asked = asked.load(Ordering::SeqCst);
-    if asked != rung.load(Ordering::Relaxed) && ring() {
+    let is_due = asked != rung.load(Ordering::Relaxed);
+    if is_due {
+        fail_point!("publish.asked");
+    }
+    if is_due && ring() {
+        fail_point!("publish.rung");
         // Two publishers may store in either order. The older number makes the
         // next publish ring once too often.
         rung.store(asked, Ordering::SeqCst);
+        fail_point!("publish.noted");
     }
 }
 

@@ -39,6 +39,11 @@
 // The derives that `topic!` writes name this crate by its outside name.
 extern crate self as uorb_core;
 
+// First: its macro is for all that follow.
+#[doc(hidden)]
+#[macro_use]
+pub mod fail_points;
+
 mod bell;
 #[cfg(all(test, loom))]
 #[allow(unsafe_code)]

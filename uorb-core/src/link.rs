@@ -195,6 +195,7 @@ impl Link {
 
         let path = system.socket();
         let socket = connect_patiently(system)?;
+        fail_point!("join.connected");
         // Whoever ends a system removes its socket before anybody else hears of it.
         let ended = |error| match system.is_removed() {
             true if is_loss(&error) => Error::Ended { path: system.dir() },

@@ -26,7 +26,7 @@ use crate::clock::now_us;
 use crate::error::Error;
 use crate::mapping::{Access, Mapping, page_bytes};
 use crate::node_file::{Identity, Sections, counts, doorbell, ring_section};
-use crate::ring::{Busy, Corrupt, PUBLISHERS_MAX, Ring, Stamp, Taken, Writer};
+use crate::ring::{Busy, Corrupt, PEER_MAX, PUBLISHERS_MAX, Ring, Stamp, Taken, Writer};
 use crate::sync::{AtomicU64, Ordering};
 use crate::system::System;
 use crate::topic::{Instance, Priority, QueueLength};
@@ -416,6 +416,13 @@ impl Node {
                 (stamp.publish_time_us, peer, handle)
             }),
         }
+    }
+
+    /// The peers that hold slots now: who is in the middle of a publish, or died
+    /// there and was not buried yet.
+    pub fn slot_holders(&self) -> Vec<u16> {
+        let claimed = self.ring().map(|mapped| mapped.ring.claimed()).unwrap_or_default();
+        claimed.into_iter().map(|(_, owner)| owner as u16 & PEER_MAX).collect()
     }
 
     fn open_bell(&self) -> Result<Arc<Bell>, Error> {

@@ -283,6 +283,7 @@ impl Drop for RawPublication {
         }
         self.session.unadvertise(self.handle);
         self.node.leave_port(self.session.peer(), self.handle);
+        fail_point!("unadvertise.done");
     }
 }
 

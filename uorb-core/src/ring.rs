@@ -280,6 +280,7 @@ impl<'m> Ring<'m> {
         let (generation, owner) = self.write_and_commit(writer, publish_time_us, message)?;
         // The slot is free for whoever finds it displaced, N commits from now.
         owner.store(word(generation, 0), Ordering::Release);
+        fail_point!("publish.freed");
         Ok(generation)
     }
 
@@ -291,15 +292,23 @@ impl<'m> Ring<'m> {
         message: &[u8],
     ) -> Result<(u64, &'m AtomicU64), Busy> {
         debug_assert_eq!(message.len(), self.geometry.message_bytes);
+        fail_point!("publish.begun");
         let (index, slot) = self.claim(writer)?;
+        fail_point!("publish.claimed");
         // Pairs with the acquire fence in `read`: a reader that sees one word of
         // what follows also sees that the order ring no longer names this slot.
         fence(Ordering::Release);
         slot[PUBLISH_TIME].store(publish_time_us, Ordering::Relaxed);
         slot[PUBLISHER].store(writer.publisher, Ordering::Relaxed);
+        fail_point!(
+            "publish.half_written",
+            store_words(&slot[PAYLOAD..], &message[..message.len() / 2])
+        );
         store_words(&slot[PAYLOAD..], message);
+        fail_point!("publish.written");
 
         let (generation, displaced) = self.commit(writer, index, slot);
+        fail_point!("publish.committed");
         writer.newest = generation;
         writer.candidate = displaced;
         Ok((generation, &slot[OWNER]))
@@ -359,6 +368,7 @@ impl<'m> Ring<'m> {
             // Before the commit, so that nobody takes the slot for an old one
             // when we are killed right after it.
             slot[OWNER].store(word(next, u64::from(writer.peer)), Ordering::Relaxed);
+            fail_point!("publish.owned");
             let entry = self.order_word(next);
             let old = entry.load(Ordering::Acquire);
             if generation_of(old) < next {
@@ -390,6 +400,7 @@ impl<'m> Ring<'m> {
         if into.len() != self.geometry.message_bytes {
             return Err(Corrupt);
         }
+        fail_point!("copy.begun");
         let mut newest = self.newest(cursor);
         if newest == self.base {
             return Ok(None);
@@ -399,6 +410,7 @@ impl<'m> Ring<'m> {
             let generation = if newest == cursor { cursor } else { oldest.max(cursor + 1) };
             match self.read(generation, into)? {
                 Read::Whole(stamp) => {
+                    fail_point!("copy.copied");
                     let lost = generation.saturating_sub(cursor + 1);
                     return Ok(Some(Taken { generation, lost, stamp }));
                 }

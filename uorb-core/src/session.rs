@@ -157,8 +157,10 @@ impl Session {
         let handle = self.inner.link.new_handle();
         let metadata = advertise.metadata.clone();
         let advertise = Advertise { handle, ..advertise };
+        fail_point!("advertise.begun");
         let advertised = self.ask(Request::Advertise(advertise)).and_then(|reply| match reply {
             Reply::Advertised(instance) => {
+                fail_point!("advertise.granted");
                 self.node(&metadata.name, instance, Role::Publisher, Some(&metadata.layout))
             }
             reply => Err(unexpected(reply)),
@@ -172,6 +174,7 @@ impl Session {
     /// Where a publication finds its port to the stream, when there is one. It
     /// is opened now if somebody follows the stream already, or always will.
     pub(crate) fn port(&self, handle: u32, node: &Arc<Node>) -> Result<Arc<PortCell>, Error> {
+        fail_point!("advertise.mapped");
         let link = &self.inner.link;
         let cell = Arc::new(PortCell::default());
         let publisher = (self.peer(), handle);
@@ -192,7 +195,10 @@ impl Session {
     /// Asks for a place among the streams of a node that is subscribed already.
     pub(crate) fn stream(&self, subscribe: Subscribe) -> Result<u8, Error> {
         match self.ask(Request::Subscribe(subscribe))? {
-            Reply::Streaming { place } => Ok(place),
+            Reply::Streaming { place } => {
+                fail_point!("follow.granted");
+                Ok(place)
+            }
             reply => Err(unexpected(reply)),
         }
     }
@@ -200,6 +206,7 @@ impl Session {
     /// Tells publishers, by way of the broker, that a subscription has its queue.
     pub(crate) fn follows(&self, handle: u32) {
         self.inner.link.tell(Request::Following { handle });
+        fail_point!("follow.told");
     }
 
     /// This process as a member of the world of the system's streams.
@@ -214,8 +221,10 @@ impl Session {
 
     /// Stops being a publisher.
     pub(crate) fn unadvertise(&self, handle: u32) {
+        fail_point!("unadvertise.begun");
         self.inner.link.remove_streamable(handle);
         self.inner.link.forget(handle, Request::Unadvertise { handle });
+        fail_point!("unadvertise.answered");
     }
 
     /// Follows a node. Returns the handle and the node, or a place to wait.
@@ -233,11 +242,14 @@ impl Session {
             self.inner.link.wait(handle, waiting.clone());
         }
         let subscribe = Subscribe { handle, subject: subject.clone(), instance, stream: None };
+        fail_point!("subscribe.begun");
         let followed =
             self.ask(Request::Subscribe(subscribe)).and_then(|reply| match (reply, waiting) {
-                (Reply::Subscribed, _) => self
-                    .node(subject.name(), instance, Role::Subscriber, subject.layout())
-                    .map(Followed::Node),
+                (Reply::Subscribed, _) => {
+                    fail_point!("subscribe.granted");
+                    self.node(subject.name(), instance, Role::Subscriber, subject.layout())
+                        .map(Followed::Node)
+                }
                 (Reply::Waiting, Some(waiting)) => Ok(Followed::Waiting(waiting)),
                 (reply, _) => Err(unexpected(reply)),
             });
@@ -248,7 +260,9 @@ impl Session {
 
     /// Stops following a node.
     pub(crate) fn unsubscribe(&self, handle: u32) {
+        fail_point!("unsubscribe.begun");
         self.inner.link.forget(handle, Request::Unsubscribe { handle });
+        fail_point!("unsubscribe.answered");
     }
 
     /// The node as this process has it mapped for `role`. What the broker has

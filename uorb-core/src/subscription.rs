@@ -129,6 +129,7 @@ impl RawSubscription {
     ) -> Result<Self, Error> {
         let topic = subject.name().to_string();
         let (handle, followed) = session.subscribe(subject, instance)?;
+        fail_point!("subscribe.mapped");
         let (node, waiting) = match followed {
             Followed::Node(node) => (Some(node), None),
             Followed::Waiting(waiting) => (None, Some(waiting)),

@@ -24,7 +24,7 @@ use nix::sys::signalfd::{SfdFlags, SignalFd};
 use nix::sys::timerfd::{ClockId, TimerFd, TimerFlags};
 use tracing::{info, warn};
 use uorb_core::broker_side::{Ending, FromBroker, Node, boot_id, listen_as_broker};
-use uorb_core::{System, World, now_us};
+use uorb_core::{System, World, fail_point, now_us};
 
 use crate::connection::Connection;
 use crate::directory::{self, Survivor};
@@ -128,6 +128,7 @@ impl Broker {
         stop.thread_block().context("cannot block signals")?;
         let listener = listen_as_broker(&system)
             .with_context(|| format!("cannot listen at {}", system.socket().display()))?;
+        fail_point!("start.listening");
         let directory = Inotify::init(InitFlags::IN_CLOEXEC | InitFlags::IN_NONBLOCK)
             .context("cannot make an inotify instance")?;
         directory
@@ -236,7 +237,9 @@ impl Broker {
         }
         // Nobody may come in any more.
         let _ = std::fs::remove_file(self.system.socket());
+        fail_point!("end.socket_removed");
         self.say_ended();
+        fail_point!("end.said");
         for (key, node) in &self.nodes {
             ring(key, node);
         }

@@ -15,7 +15,7 @@ use anyhow::{Context, bail};
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
 use uorb_core::broker_side::{Ending, NODE_FILE_VERSION, Node, Role, boot_id};
-use uorb_core::{Error, System, World};
+use uorb_core::{Error, System, World, fail_point};
 
 /// What a broker that starts has found.
 pub(crate) enum Found {
@@ -50,6 +50,7 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
     make_ours(&system.dir())?;
     refuse_strangers(system)?;
     let Some(lock) = take_lock(system)? else { return Ok(Found::Running) };
+    fail_point!("start.locked");
 
     let now = |system_id| -> anyhow::Result<Inscription> {
         Ok(Inscription { version: NODE_FILE_VERSION, boot_id: boot_id()?, system_id })
@@ -76,6 +77,7 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
 
     empty(system)?;
     World::of(system).remove();
+    fail_point!("start.emptied");
     for dir in [system.nodes(), system.bells(), system.peers(), system.unfinished()] {
         make_ours(&dir)?;
     }
@@ -85,6 +87,7 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
         remove(system);
         bail!(no_space(error, &system.lock(), INSCRIPTION_BYTES, "write"));
     }
+    fail_point!("start.inscribed");
     Ok(Found::Ours { lock, system_id: inscription.system_id, living: Vec::new() })
 }
 
@@ -101,6 +104,7 @@ fn was_ending(system: &System) -> anyhow::Result<bool> {
 /// finds out by it that the directory is gone.
 pub(crate) fn remove(system: &System) {
     let _ = empty(system);
+    fail_point!("end.emptied");
     for name in ["broker.log", "broker.log.1"] {
         let _ = fs::remove_file(system.dir().join(name));
     }

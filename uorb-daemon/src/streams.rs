@@ -23,7 +23,7 @@ use tracing::{debug, warn};
 use uorb_core::broker_side::{
     Events, Executor, Foreigners, Ipc, Member, Node, Stream, open_stream,
 };
-use uorb_core::{System, UorbHeader, World};
+use uorb_core::{System, UorbHeader, World, fail_point};
 
 use crate::broker::ring;
 use crate::limits::{CLEAN_UP_INTERVAL, LOOK_INTERVAL};
@@ -212,6 +212,7 @@ impl Keeper<'_> {
     fn make(&mut self, key: &NodeKey, node: Arc<Node>) -> Result<(), String> {
         let member = self.member.as_ref().map_err(Clone::clone)?;
         let metadata = &node.identity.metadata;
+        fail_point!("stream.making");
         let (stream, events) = open_stream(member, self.system, metadata, key.1, true)?;
         let newest = metadata
             .layout
@@ -225,6 +226,7 @@ impl Keeper<'_> {
         let (executor, suspects, named) = (None, HashSet::new(), HashSet::new());
         let kept = Kept { node, stream, events, newest, foreign, executor, suspects, named };
         self.kept.insert(key.clone(), kept);
+        fail_point!("stream.made");
         Ok(())
     }
 
@@ -258,7 +260,9 @@ impl Keeper<'_> {
         if let Err(error) = sent {
             warn!("{}{}: a message of the dead was not sent: {error}", key.0, key.1);
         }
+        fail_point!("stream.executed");
         kept.node.free_slots_of(peer);
+        fail_point!("stream.freed");
         ring(key, &kept.node);
     }
 
@@ -266,6 +270,7 @@ impl Keeper<'_> {
         if let Ok(member) = &self.member {
             self.world.remove_unfinished();
             member.node.try_cleanup_dead_nodes();
+            fail_point!("stream.cleaned");
         }
         self.cleaned = Instant::now();
     }

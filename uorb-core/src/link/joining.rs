@@ -118,10 +118,12 @@ pub(super) fn lock_life(system: &System, peer: u16) -> Result<File, Error> {
         .custom_flags(libc::O_CLOEXEC | libc::O_NOFOLLOW)
         .open(&path)
         .map_err(|error| Error::io("open", &path, error))?;
+    fail_point!("join.welcome");
     // A record lock, not flock or an open file description's: those outlive
     // the process in a forked child.
     fcntl(&file, FcntlArg::F_SETLK(&write_lock()))
         .map_err(|errno| Error::io("lock", &path, errno.into()))?;
+    fail_point!("join.locked");
     Ok(file)
 }
 

@@ -58,6 +58,7 @@ impl Link {
             self.member().and_then(|member| cell.open(&member, &self.system, &node, publisher));
         let failure = opened.as_ref().err().map(ToString::to_string);
         self.tell(Request::Port { handle, failure });
+        fail_point!("port.told");
         opened
     }
 

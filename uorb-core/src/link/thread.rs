@@ -119,12 +119,14 @@ impl Link {
     /// Joins under the old number, names again what the process holds, and asks
     /// again what was not answered.
     fn rejoin(&self, socket: OwnedFd, buffer: &mut Vec<u8>) -> Result<(), Error> {
+        fail_point!("rejoin.connected");
         let rejoin = Rejoin { peer: self.peer, system_id: self.system_id };
         match join(&self.system, &socket, Some(rejoin))? {
             Reply::Welcome { peer, system_id, .. }
                 if peer == self.peer && system_id == self.system_id => {}
             reply => return Err(unexpected(reply)),
         }
+        fail_point!("rejoin.welcome");
         let mut streamed = Vec::new();
         let mut state = self.state();
         // The socket's buffers hold some hundred packets each way, and a process
@@ -136,6 +138,7 @@ impl Link {
         for (handle, request) in held {
             let mut hear = |word| state.hear(word, &mut streamed);
             let reply = exchange(&self.system, &socket, request, buffer, &mut hear)?;
+            fail_point!("rejoin.named");
             match reply {
                 Reply::Subscribed | Reply::Streaming { .. } => state.described(handle),
                 Reply::Advertised(_) | Reply::Waiting | Reply::Refused(_) => {}
@@ -144,12 +147,14 @@ impl Link {
         }
         let mut hear = |word| state.hear(word, &mut streamed);
         exchange(&self.system, &socket, Request::Rejoined, buffer, &mut hear)?;
+        fail_point!("rejoin.confirmed");
         for (number, call) in &state.calls {
             let request = call.request.clone();
             send_packet(&socket, &encode(&ToBroker { number: *number, request }))
                 .map_err(|error| no_broker(&self.system, error))?;
         }
         state.socket = Some(Arc::new(socket));
+        fail_point!("rejoin.asked_again");
         drop(state);
         for handle in streamed {
             let _ = self.open_port(handle);

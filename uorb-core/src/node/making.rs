@@ -1,5 +1,6 @@
 //! What only the broker does with a node: makes it, counts, ends it.
 
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::Path;
@@ -44,6 +45,7 @@ impl Node {
         let unfinished_bell = system.unfinished().join(format!("{topic}{instance}.bell"));
         let _ = std::fs::remove_file(&unfinished_bell);
         let made = allocate(&file, file_bytes, &path).and_then(|()| {
+            fail_point!("node.allocated");
             let rename = |from: &Path, to: &Path| {
                 std::fs::rename(from, to).map_err(|error| Error::io("name", to, error))
             };
@@ -51,6 +53,7 @@ impl Node {
             mkfifo(&unfinished_bell, Mode::from_bits_truncate(0o600))
                 .map_err(|errno| Error::io("make the bell", &bell_path, errno.into()))?;
             rename(&unfinished_bell, &bell_path)?;
+            fail_point!("node.bell_named");
             rename(&unfinished, &path)
         });
         if let Err(error) = made {
@@ -58,6 +61,7 @@ impl Node {
             let _ = std::fs::remove_file(&unfinished_bell);
             return Err(error);
         }
+        fail_point!("node.named");
         Self::map(system, identity, sections, file, Role::Broker)
     }
 
@@ -76,13 +80,16 @@ impl Node {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(open) = file.as_ref() else { return Ok(()) };
         allocate(open, file_bytes, self.name().as_ref())?;
+        fail_point!("ring.allocated");
         let mapped = self.ring_in(open, queue_length, file_bytes)?;
         mapped.ring.format();
+        fail_point!("ring.formatted");
         let _ = self.ring.set(mapped);
         *file = None;
         // Pairs with the load in `mapped_ring`.
         self.counts.words()[counts::QUEUE_LENGTH]
             .store(queue_length.get().into(), Ordering::SeqCst);
+        fail_point!("ring.there");
         Ok(())
     }
 
@@ -104,6 +111,15 @@ impl Node {
             mapped.ring.free_slots_of(peer);
             self.leave_ports_of(peer);
         }
+    }
+
+    /// Gives back the slots and ports of everybody who does not live: what a
+    /// broker that starts finds. The counts do not name them all, if the broker
+    /// before it died in the middle of a burial.
+    pub fn free_slots_of_the_dead(&self, lives: impl Fn(u16) -> bool) {
+        let holders = self.slot_holders().into_iter().chain(self.port_holders());
+        let dead: BTreeSet<u16> = holders.filter(|peer| !lives(*peer)).collect();
+        dead.into_iter().for_each(|peer| self.free_slots_of(peer));
     }
 
     /// Marks the node as ended: handles of it say so.

@@ -103,6 +103,7 @@ impl Node {
                 let generation = held.generation;
                 if let Some((port, loaned)) = loaned {
                     port.send(loaned, generation, stamp);
+                    fail_point!("publish.sent");
                 }
                 held.sent();
                 generation
@@ -294,6 +295,12 @@ impl Node {
                 let _ = entry[0].compare_exchange(key, 0, Ordering::Release, Ordering::Relaxed);
             }
         }
+    }
+
+    /// The peers that have ports.
+    pub(crate) fn port_holders(&self) -> Vec<u16> {
+        let keys = self.port_entries().map(|entry| entry[0].load(Ordering::Acquire) as u16);
+        keys.filter(|peer| *peer != 0).collect()
     }
 
     /// Wakes subscriptions, for a publisher that has opened its port.

@@ -54,6 +54,7 @@ impl<'m> Ring<'m> {
         let sending = word(generation, u64::from(writer.peer | SENDING));
         owner.store(sending, Ordering::Release);
         self.mark_displaced(generation, writer.candidate);
+        fail_point!("publish.marked");
         Ok(Held { owner, generation })
     }
 

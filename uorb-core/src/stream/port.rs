@@ -53,11 +53,13 @@ impl PortCell {
             port.update_connections();
         } else {
             let port = Port::open(member, system, node)?;
+            fail_point!("port.opened");
             let (peer, handle) = publisher;
             if !node.enter_port(peer, handle, port.id) {
                 return Err(Error::stream(node.name(), "all its ports are taken"));
             }
             let _ = self.port.set(port);
+            fail_point!("port.entered");
         }
         // Whoever waits for the port looks again.
         node.ring_for_publisher();

@@ -48,11 +48,13 @@ impl RawSubscription {
         })?;
         let member = self.session.member()?;
         let mut reader = Reader::open(&member, self.session.system(), node, wish, place.into())?;
+        fail_point!("follow.queued");
         self.session.follows(self.handle);
         self.wait_until(node, PORTS_TIMEOUT, || node.has_all_ports())?;
         node.wait_for_publishes_under_way();
         self.cursor = node.cursor_of_newcomer();
         node.begin_stream(reader.index(), self.cursor);
+        fail_point!("follow.begun");
         if node.has_newer(self.cursor) {
             let (newest, is_large) = (self.cursor + 1, layout.is_large());
             let timeout = if is_large { PORTS_TIMEOUT } else { Duration::ZERO };
@@ -99,6 +101,7 @@ impl RawSubscription {
             }
         };
         if let Some(found) = found {
+            fail_point!("receive.found");
             self.cursor = found.generation;
             self.last = Some(Copied {
                 generation: Generation::from_wide(found.generation),

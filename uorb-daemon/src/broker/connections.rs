@@ -11,6 +11,7 @@ use uorb_core::broker_side::{
     FromBroker, Join, PROCESS_NAME_MAX_BYTES, PROTOCOL_VERSION, Refusal, Reply, Request, ToBroker,
     decode, decode_beginning, receive_packet,
 };
+use uorb_core::fail_point;
 
 use super::nodes::refusal_of;
 use super::streaming::Answer;
@@ -71,6 +72,7 @@ impl Broker {
             };
             self.last_connection = self.last_connection.wrapping_add(1);
             let number = self.last_connection;
+            fail_point!("broker.accepted");
             let token = Event::Connection(number).to_token();
             let event = EpollEvent::new(EpollFlags::EPOLLIN, token);
             match self.epoll.add(&connection, event) {
@@ -128,7 +130,9 @@ impl Broker {
             }
         };
         let stops = stops && reply == Reply::Done;
+        fail_point!("broker.granted");
         let sent = self.send(number, &FromBroker::Reply { number: request_number, reply });
+        fail_point!("broker.answered");
         if stops {
             info!("stopped by {}", self.name_of(number));
             self.end();
@@ -199,6 +203,7 @@ impl Broker {
                     self.registry.bury(peer);
                     return Err(refusal_of(&error));
                 }
+                fail_point!("broker.peer_made");
                 debug!("{name} (pid {pid}) joins as {peer}");
                 peer
             }
@@ -223,6 +228,7 @@ impl Broker {
         if let Some(connection) = self.connections.get_mut(&number) {
             connection.peer = Some(peer);
         }
+        fail_point!("broker.welcoming");
         let (system_id, world) = (self.system_id, self.world.clone());
         Ok(Reply::Welcome { peer, system_id, world })
     }

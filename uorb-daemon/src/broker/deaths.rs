@@ -11,8 +11,8 @@ use std::sync::Arc;
 use nix::sys::time::TimeSpec;
 use nix::sys::timerfd::{Expiration, TimerSetTimeFlags};
 use tracing::{debug, error, info, warn};
-use uorb_core::Layout;
 use uorb_core::broker_side::{Ending, Node, Role};
+use uorb_core::{Layout, fail_point};
 
 use super::{Broker, Event, ring};
 use crate::connection::pidfd_of;
@@ -38,6 +38,7 @@ impl Broker {
         if directory::life_of(&self.system, peer) != Life::Over {
             return self.arm_doubt();
         }
+        fail_point!("bury.proven");
         let name = self.registry.name_of(peer);
         let pid = self.registry.pid_of(peer);
         let Estate { advertised, subscribed } = self.registry.bury(peer);
@@ -53,10 +54,13 @@ impl Broker {
                 Some(node) => node.free_slots_of(peer),
                 None => {}
             }
+            fail_point!("bury.freed");
             self.update_counts(key);
+            fail_point!("bury.counted");
             if let Some(node) = self.nodes.get(key) {
                 ring(key, node);
             }
+            fail_point!("bury.rung");
         }
         subscribed.iter().for_each(|key| self.update_counts(key));
         self.pidfds.remove(&peer);
@@ -64,6 +68,7 @@ impl Broker {
             self.connections.remove(&number);
         }
         let _ = std::fs::remove_file(self.system.peer(peer));
+        fail_point!("bury.forgotten");
         if advertised.is_empty() {
             debug!("{name} is gone");
         } else {
@@ -107,6 +112,7 @@ impl Broker {
                 self.watch_process(peer, pidfd);
             }
         }
+        fail_point!("adopt.peers");
         let mut topics = BTreeMap::<String, Vec<Node>>::new();
         for (topic, instance) in self.system.list_nodes()? {
             match Node::open(&self.system, &topic, instance, Role::Broker) {
@@ -130,9 +136,11 @@ impl Broker {
         for (key, node) in &self.nodes {
             ring(key, node);
         }
+        fail_point!("adopt.rung");
         // Who has died since we looked first, and whose number another process
         // may have by now.
         self.doubtful().into_iter().for_each(|peer| self.bury(peer));
+        fail_point!("adopt.buried");
         if !self.nodes.is_empty() {
             let peers = self.registry.peers().len();
             info!("adopted {} nodes and {peers} processes", self.nodes.len());
@@ -173,12 +181,14 @@ impl Broker {
             node.status().publishers.into_iter().partition(|p| !self.registry.is_known(p.peer));
         for publisher in dead {
             info!("{}{}: publisher {} died meanwhile", key.0, key.1, publisher.peer);
-            node.free_slots_of(publisher.peer);
         }
+        // Those included whom the broker before us had counted out already.
+        node.free_slots_of_the_dead(|peer| self.registry.is_known(peer));
         let streams = node.stream_places();
         self.registry.adopt_node(node.identity.metadata.clone(), key.1, living, streams);
         self.nodes.insert(key.clone(), Arc::new(node));
         self.make_stream(&key);
         self.update_counts(&key);
+        fail_point!("adopt.node");
     }
 }

@@ -7,7 +7,7 @@ use uorb_core::broker_side::{
     Advertise, BrokerStatus, Ending, FromBroker, Identity, Node, PublisherEntry, Refusal, Reply,
     Subscribe, base_of,
 };
-use uorb_core::{Error, Instance, Metadata, QueueLength};
+use uorb_core::{Error, Instance, Metadata, QueueLength, fail_point};
 
 use super::streaming::Answer;
 use super::{Broker, ring};
@@ -36,7 +36,9 @@ impl Broker {
         }
         let is_large = metadata.layout.is_large();
         self.registry.add_publisher(&key, PublisherEntry { peer, handle, priority });
+        fail_point!("admit.noted");
         self.update_counts(&key);
+        fail_point!("admit.counted");
         self.tell_new_publisher(&key, peer, handle);
         let reply = Reply::Advertised(key.1);
         // A large topic is nothing without its stream.
@@ -68,6 +70,7 @@ impl Broker {
         let Some(metadata) = plan.create else { return Ok(()) };
         let node = self.make_node(&metadata, key.1)?;
         if !plan.give_way.is_empty() {
+            fail_point!("give_way.made");
             let give_way = match plan.give_way.len() {
                 1 => "its node gives way".into(),
                 count => format!("its {count} nodes give way"),
@@ -75,6 +78,7 @@ impl Broker {
             info!("{}: nobody uses the old layout any more, {give_way}", key.0);
             for old in &plan.give_way {
                 self.discard(old, old != key);
+                fail_point!("give_way.discarded");
             }
             self.registry.remove_topic(&key.0);
         }

@@ -1,0 +1,634 @@
+//! One bus and its rounds: everybody runs, some die, the rest pauses and is
+//! counted.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::Signal;
+use uorb_core::broker_side::{Node, Reply, Request, Role};
+use uorb_core::zerocopy::FromBytes;
+use uorb_core::{Instance, RawSubscription, Session, now_us};
+use uorb_tests::{Bus, Stamped, instance};
+
+use crate::accounts::Accounts;
+use crate::actor::{CLAIMED, metadata};
+use crate::bus::{Broker, Process, signal};
+use crate::judge::{Judge, Stopped};
+use crate::ledger::{CELLS, Ledger, Phase, Word};
+use crate::noise::Noise;
+use crate::plan::{Deed, Moment, Plan};
+use crate::random::Random;
+use crate::traces::Traces;
+
+/// How long the controller waits for what must come before it calls it missing.
+/// What it took is judged by other means.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Nobody waits longer for anything, and what the machine adds.
+pub(crate) const LIMIT_US: u64 = 100_000;
+
+/// How long the broker waits for what somebody who was killed may have left
+/// unfinished in the memory of streams.
+pub(crate) const UNFINISHED_US: u64 = 1_010_000;
+
+/// Processes beyond which no newcomer is kept.
+const CROWD: usize = 12;
+
+const TICK: Duration = Duration::from_micros(200);
+
+/// What a run has seen.
+#[derive(Debug, Default)]
+pub(crate) struct Totals {
+    pub(crate) rounds: u64,
+    pub(crate) messages: u64,
+    pub(crate) kills: u64,
+    pub(crate) deaths_at_fail_points: u64,
+    pub(crate) places: BTreeSet<String>,
+    pub(crate) stops: u64,
+    pub(crate) broker_deaths: u64,
+    pub(crate) requests: u64,
+    pub(crate) slowest_us: u64,
+    pub(crate) noise_us: u64,
+}
+
+pub(crate) struct Era<'n> {
+    bus: Bus,
+    broker: Broker,
+    ledger: Ledger,
+    session: Option<Session>,
+    keeper: Option<RawSubscription>,
+    processes: Vec<Process>,
+    stopped: Vec<Stopped>,
+    next_sender: u64,
+    topic: &'static str,
+    round: u64,
+    /// The generation before the round.
+    base: u32,
+    noise: &'n Noise,
+    before: BTreeSet<PathBuf>,
+    faults: Vec<String>,
+}
+
+impl<'n> Era<'n> {
+    pub(crate) fn begin(first_round: u64, noise: &'n Noise) -> anyhow::Result<Self> {
+        let before = Traces::shared_memory();
+        // Every other era its generations pass 2^32 in the first round.
+        let wraps = (first_round / crate::ERA).is_multiple_of(2);
+        let topic = if wraps { "orb_test_medium_wrap_around" } else { "stamped" };
+        let bus = Bus::without_broker();
+        let ledger = Ledger::create(bus.system.base())?;
+        ledger.set_phase(first_round, Phase::Run);
+        let mut broker = Broker::new();
+        broker.start(&bus, None)?;
+        let session = Session::connect_to(&bus.system)?;
+        let keeper =
+            RawSubscription::subscribe_described(&session, &metadata(topic), Instance::FIRST)?;
+        let mut era = Self {
+            bus,
+            broker,
+            ledger,
+            session: Some(session),
+            keeper: Some(keeper),
+            processes: Vec::new(),
+            stopped: Vec::new(),
+            next_sender: 1,
+            topic,
+            round: first_round,
+            base: 0,
+            noise,
+            before,
+            faults: Vec::new(),
+        };
+        era.base = era.newest();
+        for kind in ["publisher", "publisher", "claimer", "subscriber", "descriptor", "follower"] {
+            era.spawn(kind, 0, None)?;
+        }
+        era.wait("the first six have begun", |era| {
+            era.processes.iter().all(|process| process.cell.get(Word::State) == 1)
+        });
+        Ok(era)
+    }
+
+    fn spawn(
+        &mut self,
+        kind: &'static str,
+        storm_us: u64,
+        fate: Option<&crate::bus::Fate>,
+    ) -> anyhow::Result<()> {
+        let used: BTreeSet<usize> =
+            self.processes.iter().map(|process| process.cell.index).collect();
+        let Some(free) = (0..CELLS).find(|index| !used.contains(index)) else { return Ok(()) };
+        let (cell, sender) = (self.ledger.cell(free), self.next_sender);
+        self.next_sender += 1;
+        let of = (self.topic, storm_us);
+        let process = Process::spawn(&self.bus, &self.ledger, cell, kind, sender, of, fate)?;
+        self.processes.push(process);
+        Ok(())
+    }
+
+    fn fault(&mut self, what: String) {
+        if self.faults.len() < 20 {
+            self.faults.push(what);
+        }
+    }
+
+    /// Waits until something is so. What never comes is a fault. How long it
+    /// took, in microseconds.
+    fn wait(&mut self, what: &str, mut is_so: impl FnMut(&mut Self) -> bool) -> u64 {
+        let (from, deadline) = (now_us(), Instant::now() + PATIENCE);
+        while !is_so(self) {
+            if Instant::now() > deadline {
+                self.fault(format!("it never came: {what}"));
+                self.processes.iter().for_each(|process| eprintln!("{}", process.describe()));
+                if std::env::var_os("CHAOS_HOLD").is_some() {
+                    eprintln!("held, pid {}", std::process::id());
+                    std::thread::sleep(Duration::from_secs(600));
+                }
+                break;
+            }
+            std::thread::sleep(TICK);
+        }
+        now_us() - from
+    }
+
+    /// As `wait`, for what must come within the limit.
+    fn wait_shortly(&mut self, what: &str, more_us: u64, is_so: impl FnMut(&mut Self) -> bool) {
+        let from = now_us();
+        let took_us = self.wait(what, is_so);
+        let noise_us = self.noise.between(from, now_us());
+        if took_us > LIMIT_US + more_us + noise_us {
+            self.fault(format!("it took {took_us} us (noise {noise_us}): {what}"));
+        }
+    }
+
+    /// One round. What was wrong in it.
+    pub(crate) fn round(&mut self, seed: u64, totals: &mut Totals) -> anyhow::Result<Vec<String>> {
+        self.recruit()?;
+        let plan = Plan::draw(&mut Random::of_round(seed, self.round));
+        let began_us = now_us();
+        self.stopped.clear();
+        if let Some(fate) = &plan.burial {
+            self.broker.kill();
+            while !self.broker.start(&self.bus, Some(fate))? {}
+        }
+        for (kind, storm_us, fate) in &plan.newcomers {
+            self.spawn(kind, *storm_us, fate.as_ref())?;
+        }
+        let started = Instant::now();
+        for moment in &plan.moments {
+            let at = started + Duration::from_micros(moment.at_us);
+            std::thread::sleep(at.saturating_duration_since(Instant::now()));
+            self.act(moment, totals);
+        }
+        let end = started + Duration::from_micros(plan.lasts_us);
+        std::thread::sleep(end.saturating_duration_since(Instant::now()));
+        let restarted = self.end_of_the_violence(&plan, totals)?;
+        self.settle(restarted);
+        self.count(totals);
+        let judge = Judge { noise: self.noise, stopped: &self.stopped, down: &self.broker.down_us };
+        let verdicts: Vec<String> =
+            self.processes.iter().flat_map(|process| judge.lates(process, began_us)).collect();
+        verdicts.into_iter().for_each(|verdict| self.fault(verdict));
+        self.look_at_the_bus(restarted)?;
+        let described = format!("{plan:?}");
+        self.bury(totals);
+        self.next_round();
+        totals.rounds += 1;
+        let faults = std::mem::take(&mut self.faults);
+        if !faults.is_empty() {
+            eprintln!("the plan was {described}");
+        }
+        Ok(faults)
+    }
+
+    fn act(&mut self, moment: &Moment, totals: &mut Totals) {
+        let Some(whom) = moment.whom else {
+            match moment.deed {
+                Deed::Kill => self.broker.kill(),
+                Deed::Stop => {
+                    if let Some(pid) = self.broker.pid() {
+                        totals.stops += 1;
+                        signal(pid, Signal::SIGSTOP);
+                        self.stopped.push(Stopped::broker(pid));
+                    }
+                }
+            }
+            return;
+        };
+        let living: Vec<usize> =
+            (0..self.processes.len()).filter(|index| self.processes[*index].lives()).collect();
+        if living.is_empty() {
+            return;
+        }
+        let process = &mut self.processes[living[whom as usize % living.len()]];
+        match moment.deed {
+            Deed::Kill => {
+                process.fate = Some("a moment".into());
+                process.kill();
+                totals.kills += 1;
+            }
+            Deed::Stop => {
+                totals.stops += 1;
+                process.was_stopped = true;
+                signal(process.pid(), Signal::SIGSTOP);
+                self.stopped.push(Stopped::process(process));
+            }
+        }
+    }
+
+    /// Everybody who is stopped goes on or dies; who was to die and did not, too;
+    /// and there is a broker again. Whether it is another one.
+    fn end_of_the_violence(&mut self, plan: &Plan, totals: &mut Totals) -> anyhow::Result<bool> {
+        let crowd = self.processes.iter_mut().filter(|process| process.ended.is_none()).count();
+        for process in &mut self.processes {
+            if !process.lives() {
+                continue;
+            }
+            let was_to_die = process.fate.is_some();
+            if was_to_die && process.is_stopped() && !process.was_stopped {
+                totals.stops += 1;
+                process.was_stopped = true;
+                self.stopped.push(Stopped::process(process));
+            }
+            let dies = plan.kills_all
+                || (process.was_stopped && plan.kills_the_stopped)
+                || (was_to_die && (!plan.keeps_survivors || crowd > CROWD));
+            if dies {
+                process.fate.get_or_insert_with(|| "the end".into());
+                process.kill();
+                totals.kills += 1;
+            } else if process.was_stopped {
+                signal(process.pid(), Signal::SIGCONT);
+            }
+        }
+        for stopped in &mut self.stopped {
+            stopped.until_us = now_us();
+            if stopped.is_broker {
+                signal(stopped.pid, Signal::SIGCONT);
+            }
+        }
+        let downs = self.broker.down_us.len();
+        let mut fate = plan.next_broker.as_ref();
+        while !self.broker.runs() {
+            self.broker.start(&self.bus, fate.take())?;
+        }
+        // Its fate may be to die of what the others ask of it.
+        Ok(self.broker.down_us.len() > downs
+            || self
+                .broker
+                .down_us
+                .last()
+                .is_some_and(|down| down.1 == u64::MAX || now_us() - down.1 < 1_000_000))
+    }
+
+    /// A broker whose fate is to die of what it is asked dies now or later, and
+    /// there must always be one.
+    /// And who is to stop where it re-joins stops now: it goes on at once.
+    fn keep_a_broker(&mut self) {
+        for process in self.processes.iter_mut().filter(|process| process.is_to_stop()) {
+            if process.is_stopped() {
+                process.was_stopped = true;
+                signal(process.pid(), Signal::SIGCONT);
+            }
+        }
+        while !self.broker.runs() {
+            if let Err(error) = self.broker.start(&self.bus, None) {
+                return self.fault(format!("{error:#}"));
+            }
+        }
+    }
+
+    fn settle(&mut self, restarted: bool) {
+        let round = self.round;
+        self.wait("newcomers have begun", |era| {
+            era.keep_a_broker();
+            era.processes.iter_mut().all(|process| {
+                !process.lives()
+                    || process.cell.get(Word::State) > 0
+                    || process.publishes() && process.cell.get(Word::Requests) > 2
+            })
+        });
+        // A publisher that unadvertises waits for the broker, too.
+        let more_us = if restarted { 350_000 } else { 0 };
+        self.ledger.set_phase(round, Phase::Quiet);
+        self.wait_shortly("publishers pause", more_us, |era| {
+            era.keep_a_broker();
+            era.processes
+                .iter_mut()
+                .filter(|process| process.publishes())
+                .all(|process| !process.lives() || process.cell.get(Word::PausedIn) == round + 1)
+        });
+        let newest = u64::from(self.newest());
+        let published = self.published();
+        self.wait_shortly("whoever sleeps is woken for what is there", more_us, |era| {
+            era.keep_a_broker();
+            published == 0
+                || era.processes.iter_mut().filter(|process| process.copies()).all(|process| {
+                    !process.lives()
+                        || process.cell.get(Word::State) != 1
+                        || process.cell.get(Word::Seen) == newest
+                })
+        });
+        self.ledger.set_phase(round, Phase::Drain);
+        let mut ticks = 0_u64;
+        self.wait("everybody pauses", |era| {
+            era.keep_a_broker();
+            ticks += 1;
+            let mut all = true;
+            for process in era.processes.iter_mut().filter(|process| process.copies()) {
+                if process.lives() && process.cell.get(Word::PausedIn) != round + 1 {
+                    all = false;
+                    if ticks.is_multiple_of(10) && process.cell.get(Word::State) == 1 {
+                        signal(process.pid(), Signal::SIGUSR1);
+                    }
+                }
+            }
+            all
+        });
+    }
+
+    fn node(&self) -> Option<Node> {
+        Node::open(&self.bus.system, self.topic, Instance::FIRST, Role::Observer).ok()
+    }
+
+    fn published(&self) -> u64 {
+        self.node().map_or(0, |node| node.status().published)
+    }
+
+    fn newest(&self) -> u32 {
+        self.node().map_or(0, |node| (node.identity.base + node.status().published) as u32)
+    }
+
+    /// Every message of the round.
+    fn count(&mut self, totals: &mut Totals) {
+        let (base, newest) = (self.base, self.newest());
+        let mut accounts = Accounts::since(base);
+        for process in self.processes.iter_mut().filter(|process| process.kind == "publisher") {
+            let lives = process.lives();
+            let (begun, done) = (process.cell.get(Word::Begun), process.cell.get(Word::Done));
+            let in_flight = (begun > done).then_some((process.sender, done));
+            if lives && begun > done {
+                accounts.fault(format!("{} has paused in mid-publish", process.sender));
+            }
+            // Noted, and killed before it could say that it was.
+            let in_flight = in_flight.filter(|message| {
+                !process.cell.logged().iter().any(|noted| (noted.1, noted.2) == *message)
+            });
+            accounts.published(&process.cell.logged(), in_flight);
+        }
+        for process in self.processes.iter_mut().filter(|process| process.copies()) {
+            let cell = process.cell;
+            let who = format!("{} {} (pid {})", process.kind, process.sender, process.pid());
+            accounts.copied(&who, &cell.logged());
+            if cell.get(Word::Torn) > 0 {
+                accounts.fault(format!("{who} copied {} torn messages", cell.get(Word::Torn)));
+            }
+            if process.lives() && cell.get(Word::State) == 1 {
+                let [copied, lost, before, pending] =
+                    [Word::Copied, Word::Lost, Word::LostBefore, Word::Pending]
+                        .map(|w| cell.get(w));
+                let published = newest.wrapping_sub(cell.get(Word::First) as u32);
+                let sum = copied + lost - before + pending;
+                if u64::from(published) != sum {
+                    accounts.fault(format!(
+                        "{who}: {published} published, {copied} copied + {} lost + {pending} \
+                         pending",
+                        lost - before,
+                    ));
+                }
+            }
+        }
+        totals.messages += accounts.close(newest);
+        if let Some(keeper) = &mut self.keeper
+            && newest != base
+        {
+            keeper.skip();
+            let mut bytes = Vec::new();
+            let last = keeper.copy(&mut bytes).then(|| Stamped::read_from_bytes(&bytes).ok());
+            match last.flatten() {
+                Some(last) if last.is_whole() => {
+                    let message = (last.sender, last.count);
+                    let known = accounts.message(newest);
+                    if known.map_or(!accounts.may_be(message), |known| known != message) {
+                        accounts.fault(format!("the last value is {message:?}, not {known:?}"));
+                    }
+                }
+                last => accounts.fault(format!("the last value cannot be read: {last:?}")),
+            }
+        }
+        self.faults.append(&mut accounts.faults);
+    }
+
+    /// The broker's own words, and the counts in the nodes.
+    fn look_at_the_bus(&mut self, restarted: bool) -> anyhow::Result<()> {
+        let more_us = if restarted { 500_000 } else { 0 };
+        let living: BTreeSet<u32> = self
+            .processes
+            .iter_mut()
+            .filter_map(|process| process.lives().then(|| process.pid()))
+            .chain([std::process::id()])
+            .collect();
+        let mut told = BTreeSet::new();
+        self.wait_shortly("the broker knows who lives", more_us, |era| {
+            era.keep_a_broker();
+            told = era.connected();
+            told == living
+        });
+        if told != living {
+            self.fault(format!("the broker knows {told:?}, and {living:?} live"));
+        }
+        let holding = |kind: &str, processes: &[Process]| {
+            let holds = |process: &&Process| {
+                let publishes = process.kind == kind || (kind == "copies" && process.copies());
+                publishes && process.ended.is_none() && process.cell.get(Word::State) == 1
+            };
+            processes.iter().filter(holds).count() as u64
+        };
+        let publishers = holding("publisher", &self.processes);
+        let subscribers = holding("copies", &self.processes) + 1;
+        let mut counts = (0, 0);
+        self.wait_shortly("the counts are true", more_us, |era| {
+            let Some(status) = era.node().map(|node| node.status()) else { return false };
+            counts = (status.publishers.len() as u64, status.subscribers);
+            counts == (publishers, subscribers)
+        });
+        if counts != (publishers, subscribers) {
+            self.fault(format!("counts are {counts:?}, not {:?}", (publishers, subscribers)));
+        }
+        let mut holders = Vec::new();
+        // The streams' thread may be waiting for what iceoryx2 was making when
+        // somebody was killed.
+        let more_us = more_us + UNFINISHED_US;
+        self.wait_shortly("no slot is held", more_us, |era| {
+            holders = era.node().map(|node| node.slot_holders()).unwrap_or_default();
+            holders.is_empty()
+        });
+        if !holders.is_empty() {
+            self.fault(format!("slots are held by {holders:?}, and nobody publishes"));
+        }
+        self.look_at_the_claimed(more_us);
+        Ok(())
+    }
+
+    fn look_at_the_claimed(&mut self, more_us: u64) {
+        let held = |process: &Process| {
+            (process.kind == "claimer" && process.ended.is_none())
+                .then(|| process.cell.get(Word::Instance) as u8)
+        };
+        let claimed: Vec<u8> = self.processes.iter().filter_map(held).collect();
+        let mut free: Vec<u8> = (0..10).collect();
+        for instance in &claimed {
+            let Some(index) = free.iter().position(|one| one + 1 == *instance) else {
+                return self.fault(format!("instances {claimed:?} (from 1) are held"));
+            };
+            free.remove(index);
+        }
+        let mut dark = Vec::new();
+        self.wait_shortly("instances of the dead are free", more_us, |era| {
+            let Some(session) = &era.session else { return true };
+            let advertised =
+                |number: &u8| session.exists(CLAIMED, instance(*number)).unwrap_or(false);
+            dark = free.iter().copied().filter(advertised).collect();
+            dark.is_empty()
+        });
+    }
+
+    /// The processes that the broker knows, 0 for those that are not connected.
+    /// It may die of the question; then the next one is asked.
+    fn connected(&mut self) -> BTreeSet<u32> {
+        let Some(session) = self.session.clone() else { return BTreeSet::new() };
+        let question = std::thread::spawn(move || session.ask(Request::Peers));
+        while !question.is_finished() {
+            self.keep_a_broker();
+            std::thread::sleep(TICK);
+        }
+        match question.join() {
+            Ok(Ok(Reply::Peers(peers))) => {
+                peers.iter().map(|peer| if peer.connected { peer.pid } else { 0 }).collect()
+            }
+            _ => BTreeSet::new(),
+        }
+    }
+
+    /// Who has ended, and why.
+    fn bury(&mut self, totals: &mut Totals) {
+        let down = self.broker.down_us.len();
+        for process in std::mem::take(&mut self.processes) {
+            totals.requests += process.cell.get(Word::Requests);
+            let slowest_us = process.cell.get(Word::SlowestRequest);
+            if self.broker.down_us.len() == 1 {
+                totals.slowest_us = totals.slowest_us.max(slowest_us);
+            }
+            let Some(status) = process.ended else {
+                self.processes.push(process);
+                continue;
+            };
+            let failure = process.cell.failure();
+            let is_killed = std::os::unix::process::ExitStatusExt::signal(&status)
+                == Some(Signal::SIGKILL as i32);
+            match (&process.fate, failure, is_killed) {
+                (Some(fate), _, true) => {
+                    if let Some(place) = fate.strip_prefix("UORB_DIE_AT ") {
+                        totals.deaths_at_fail_points += 1;
+                        totals.places.insert(place.split(':').next().unwrap_or(place).into());
+                    }
+                }
+                // Who starts while no broker runs is told so.
+                (_, Some(failure), _) if failure.starts_with("NoBroker") && down > 1 => {}
+                (fate, failure, _) => {
+                    let (kind, pid) = (process.kind, process.pid());
+                    let why = failure.unwrap_or_default();
+                    self.fault(format!("{kind} {pid} ended: {status} {why} (fate: {fate:?})"));
+                }
+            }
+        }
+    }
+
+    fn next_round(&mut self) {
+        self.base = self.newest();
+        for process in &self.processes {
+            let cell = process.cell;
+            cell.set(Word::First, self.base.into());
+            cell.set(Word::LostBefore, cell.get(Word::Lost));
+            for word in [Word::Copied, Word::Logged, Word::Lates, Word::Torn] {
+                cell.set(word, 0);
+            }
+        }
+        for process in &mut self.processes {
+            process.was_stopped = false;
+        }
+        self.round += 1;
+        self.ledger.set_phase(self.round, Phase::Run);
+    }
+
+    /// Fills the crew up again after many deaths.
+    fn recruit(&mut self) -> anyhow::Result<()> {
+        for (kind, wanted) in [
+            ("publisher", 2),
+            ("claimer", 1),
+            ("subscriber", 1),
+            ("descriptor", 1),
+            ("follower", 1),
+        ] {
+            let there = self.processes.iter().filter(|process| process.kind == kind).count();
+            for _ in there..wanted {
+                self.spawn(kind, 0, None)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// How often the broker died, and where it was told to.
+    pub(crate) fn broker_deaths(&self) -> (u64, &[String]) {
+        (self.broker.down_us.len() as u64 - 1, &self.broker.died_at)
+    }
+
+    /// Everybody goes, and nothing is left. What was wrong.
+    pub(crate) fn end(mut self) -> anyhow::Result<Vec<String>> {
+        self.broker.replace_the_fated(&self.bus)?;
+        let living = self.processes.len() + 1;
+        self.wait("all have re-joined", |era| {
+            let connected = era.connected();
+            connected.len() == living && !connected.contains(&0)
+        });
+        let status = self.bus.uorb(&["status", "--json"]);
+        let json: Result<serde_json::Value, _> = serde_json::from_str(&status.out);
+        let peers = json.as_ref().ok().and_then(|json| json["peers"].as_array().map(Vec::len));
+        if status.code != 0 || peers != Some(living) {
+            let words = status.words;
+            self.fault(format!("uorb status says {peers:?} processes, not {living}: {words}"));
+        }
+        self.processes.clear();
+        let ours = BTreeSet::from([std::process::id()]);
+        self.wait("the broker knows that all are gone", |era| era.connected() == ours);
+        let broker = self.broker.pid().unwrap_or(0);
+        let mut held = Vec::new();
+        self.wait("the broker holds nothing of the dead", |_| {
+            held = Traces::of_the_dead(broker);
+            held.is_empty()
+        });
+        if !held.is_empty() {
+            self.fault(format!("the broker still holds {held:?}"));
+        }
+        self.keeper = None;
+        self.session = None;
+        let ended = self.broker.stop()?;
+        if !ended.success() {
+            self.fault(format!("the broker ended: {ended}"));
+        }
+        if self.bus.system.dir().exists() {
+            self.fault("the system's directory is left".into());
+        }
+        let base = self.bus.system.base().to_path_buf();
+        let left: Vec<_> = Traces::shared_memory()
+            .difference(&self.before)
+            .filter(|path| **path != base && !Traces::is_another_s(path))
+            .cloned()
+            .collect();
+        if !left.is_empty() {
+            self.fault(format!("left behind: {left:?}"));
+        }
+        Ok(std::mem::take(&mut self.faults))
+    }
+}

@@ -1,0 +1,129 @@
+//! `scripts/chaos`: kills and stops the processes of a bus, and accounts for
+//! every message.
+//!
+//! The seed is printed, and the same seed draws the same schedule; what becomes
+//! of it is up to the machine. A run ends with its totals, and with exit code 1
+//! if anything was wrong.
+
+mod accounts;
+mod actor;
+mod bus;
+mod era;
+mod judge;
+mod ledger;
+mod noise;
+mod plan;
+mod random;
+mod traces;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::Parser;
+use uorb_core::now_us;
+
+use crate::era::{Era, Totals};
+use crate::ledger::Ledger;
+use crate::noise::Noise;
+
+/// Rounds that one bus lasts.
+pub(crate) const ERA: u64 = 25;
+
+/// Kills and stops the processes of a bus, and accounts for every message.
+#[derive(Parser, Debug)]
+#[command(name = "chaos")]
+struct Args {
+    /// Rounds, of some tens of milliseconds each
+    #[arg(long, default_value_t = 300)]
+    rounds: u64,
+
+    /// The round to begin with: those before it are left out
+    #[arg(long, default_value_t = 0)]
+    first: u64,
+
+    /// What the schedule is drawn from [default: the time]
+    #[arg(long)]
+    seed: Option<u64>,
+}
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().collect();
+    if arguments.get(1).is_some_and(|word| word == "actor") {
+        return run_actor(&arguments[2..]);
+    }
+    if arguments.get(1).is_some_and(|word| word == "publish") {
+        return actor::publish_until_killed(&arguments[2]);
+    }
+    let args = Args::parse();
+    let seed = args.seed.unwrap_or_else(|| now_us() % 1_000_000);
+    match rounds(seed, args.first, args.rounds) {
+        Ok(0) => ExitCode::SUCCESS,
+        Ok(faults) => {
+            eprintln!("chaos: {faults} faults; repeat with --seed {seed}");
+            ExitCode::FAILURE
+        }
+        Err(error) => {
+            eprintln!("chaos: {error:#}; repeat with --seed {seed}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run_actor(words: &[String]) -> ExitCode {
+    let [path, cell, sender, kind, topic, storm_us] = words else { panic!("{words:?}") };
+    let number = |word: &String| word.parse().expect("a number");
+    let ledger = Ledger::open(PathBuf::from(path)).expect("the ledger is there");
+    let ran =
+        actor::run(ledger, number(cell) as usize, number(sender), kind, topic, number(storm_us));
+    if ran { ExitCode::SUCCESS } else { ExitCode::from(3) }
+}
+
+fn rounds(seed: u64, first: u64, rounds: u64) -> anyhow::Result<usize> {
+    uorb_tests::raise_descriptor_limit();
+    println!("chaos: --seed {seed} --first {first} --rounds {rounds}");
+    let began = Instant::now();
+    let noise = Noise::listen();
+    let (mut totals, mut found) = (Totals::default(), 0);
+    let mut round = first;
+    while round < first + rounds {
+        let mut era = Era::begin(round, &noise)?;
+        let mut tell = |round: u64, faults: Vec<String>| {
+            found += faults.len();
+            faults.iter().for_each(|fault| eprintln!("round {round}: {fault}"));
+            !faults.is_empty()
+        };
+        let end = (round + ERA - round % ERA).min(first + rounds);
+        let mut is_spoilt = false;
+        while round < end && !is_spoilt {
+            let faults = era.round(seed, &mut totals)?;
+            is_spoilt = tell(round, faults);
+            totals.noise_us = totals.noise_us.max(noise.take_longest());
+            round += 1;
+        }
+        let (deaths, places) = era.broker_deaths();
+        totals.broker_deaths += deaths;
+        totals.deaths_at_fail_points += places.len() as u64;
+        let names = places.iter().filter_map(|place| place.split(':').next());
+        totals.places.extend(names.map(ToString::to_string));
+        if !is_spoilt {
+            let faults = era.end()?;
+            tell(round - 1, faults);
+        }
+    }
+    let Totals { rounds, messages, kills, deaths_at_fail_points, places, .. } = &totals;
+    println!(
+        "{rounds} rounds in {:.1} s: {messages} messages; {kills} kills at a moment, \
+         {deaths_at_fail_points} deaths at {} fail points, {} stops, {} deaths of the broker; \
+         {} requests, the slowest {} us while one broker lived; the machine's own longest pause \
+         {} us; {found} faults",
+        began.elapsed().as_secs_f64(),
+        places.len(),
+        totals.stops,
+        totals.broker_deaths,
+        totals.requests,
+        totals.slowest_us,
+        totals.noise_us,
+    );
+    Ok(found)
+}
