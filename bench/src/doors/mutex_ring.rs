@@ -6,7 +6,7 @@
 //! whether there is anything new is one load of the generation.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::thread;
 
 use super::{Door, Side, WORDS, ways};
@@ -18,23 +18,32 @@ pub const NAME: &str = "mutex-ring";
 /// A queue of one, as most of PX4's topics have it.
 #[derive(Debug, Default)]
 pub struct Ring {
-    message: Mutex<[u64; WORDS]>,
+    slot: Mutex<Slot>,
     published: Condvar,
     generation: AtomicU64,
 }
 
+#[derive(Debug, Default)]
+struct Slot {
+    message: [u64; WORDS],
+    /// Whom to wake: without them PX4 makes no system call either.
+    waiters: usize,
+}
+
 impl Ring {
     pub fn publish(&self, message: &[u64; WORDS]) {
-        let mut slot = self.message.lock().expect("nobody panics with it");
-        *slot = *message;
+        let mut slot = self.lock();
+        slot.message = *message;
         self.generation.fetch_add(1, Ordering::Release);
-        self.published.notify_all();
+        if slot.waiters > 0 {
+            self.published.notify_all();
+        }
     }
 
     pub fn copy(&self, seen: &mut u64) -> [u64; WORDS] {
-        let slot = self.message.lock().expect("nobody panics with it");
+        let slot = self.lock();
         *seen = self.generation.load(Ordering::Acquire);
-        *slot
+        slot.message
     }
 
     pub fn updated(&self, seen: u64) -> bool {
@@ -42,9 +51,15 @@ impl Ring {
     }
 
     fn wait(&self, seen: u64) {
-        let slot = self.message.lock().expect("nobody panics with it");
-        let is_old = |_: &mut [u64; WORDS]| !self.updated(seen);
-        drop(self.published.wait_while(slot, is_old).expect("nobody panics with it"));
+        let mut slot = self.lock();
+        slot.waiters += 1;
+        let is_old = |_: &mut Slot| !self.updated(seen);
+        let slot = self.published.wait_while(slot, is_old);
+        slot.expect("nobody panics with it").waiters -= 1;
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Slot> {
+        self.slot.lock().expect("nobody panics with it")
     }
 }
 
