@@ -18,6 +18,9 @@ use crate::subscription::RawSubscription;
 /// The environment variable that names how long a wait spins before it sleeps.
 pub const SPIN_VARIABLE: &str = "UORB_SPIN_US";
 
+/// How often a spinning wait looks between two readings of the clock.
+const SPIN_LOOKS: u32 = 16;
+
 /// Waits until something can be copied from one of the subscriptions, whose
 /// intervals are over, or until `timeout` is over (None: for ever). Returns how
 /// many can be copied from; `updated` says which.
@@ -58,18 +61,16 @@ pub fn poll(
     }
     // A time too far away to be counted is none.
     let deadline = timeout.and_then(|timeout| Instant::now().checked_add(timeout));
-    let spin = spin_time();
-    let mut spin_until = (spin > Duration::ZERO).then(|| Instant::now() + spin);
+    let updated = spin(subscriptions, deadline)?;
+    if updated > 0 {
+        return Ok(updated);
+    }
     loop {
-        let now = Instant::now();
-        let rest = deadline.map(|deadline| deadline.saturating_duration_since(now));
+        let rest = deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
         if rest == Some(Duration::ZERO) {
             return check(subscriptions).map(|()| 0);
         }
-        spin_until = spin_until.filter(|until| now < *until);
-        if spin_until.is_some() {
-            spin_loop();
-        } else if matches!(sleep(subscriptions, rest)?, Wake::Signal) {
+        if matches!(sleep(subscriptions, rest)?, Wake::Signal) {
             return Ok(0);
         }
         let updated = look(subscriptions)?;
@@ -77,6 +78,30 @@ pub fn poll(
             return Ok(updated);
         }
     }
+}
+
+/// Looks again and again for `spin_time`, though not beyond the deadline.
+fn spin(
+    subscriptions: &mut [&mut RawSubscription],
+    deadline: Option<Instant>,
+) -> Result<usize, Error> {
+    let spin_time = spin_time();
+    if spin_time.is_zero() {
+        return Ok(0);
+    }
+    let until = Instant::now() + spin_time;
+    let until = deadline.map_or(until, |deadline| deadline.min(until));
+    while Instant::now() < until {
+        // Several looks take what one reading of the clock does.
+        for _ in 0..SPIN_LOOKS {
+            let updated = look(subscriptions)?;
+            if updated > 0 {
+                return Ok(updated);
+            }
+            spin_loop();
+        }
+    }
+    Ok(0)
 }
 
 /// How long a wait looks again and again before it sleeps: what `UORB_SPIN_US`
