@@ -2,13 +2,12 @@
 //! counted.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use uorb_core::broker_side::{Node, Reply, Request, Role};
 use uorb_core::zerocopy::FromBytes;
-use uorb_core::{Instance, RawSubscription, Session, now_us};
+use uorb_core::{Instance, RawSubscription, Session, World, now_us};
 use uorb_tests::{Bus, Stamped, instance};
 
 use crate::accounts::Accounts;
@@ -66,13 +65,12 @@ pub(crate) struct Era<'n> {
     /// The generation before the round.
     base: u32,
     noise: &'n Noise,
-    before: BTreeSet<PathBuf>,
+    world: World,
     faults: Vec<String>,
 }
 
 impl<'n> Era<'n> {
     pub(crate) fn begin(first_round: u64, noise: &'n Noise) -> anyhow::Result<Self> {
-        let before = Traces::shared_memory();
         // Every other era its generations pass 2^32 in the first round.
         let wraps = (first_round / crate::ERA).is_multiple_of(2);
         let topic = if wraps { "orb_test_medium_wrap_around" } else { "stamped" };
@@ -85,6 +83,7 @@ impl<'n> Era<'n> {
         let keeper =
             RawSubscription::subscribe_described(&session, &metadata(topic), Instance::FIRST)?;
         let mut era = Self {
+            world: World::of(&bus.system),
             bus,
             broker,
             ledger,
@@ -97,7 +96,6 @@ impl<'n> Era<'n> {
             round: first_round,
             base: 0,
             noise,
-            before,
             faults: Vec::new(),
         };
         era.base = era.newest();
@@ -423,12 +421,7 @@ impl<'n> Era<'n> {
     /// The broker's own words, and the counts in the nodes.
     fn look_at_the_bus(&mut self, restarted: bool) -> anyhow::Result<()> {
         let more_us = if restarted { 500_000 } else { 0 };
-        let living: BTreeSet<u32> = self
-            .processes
-            .iter_mut()
-            .filter_map(|process| process.lives().then(|| process.pid()))
-            .chain([std::process::id()])
-            .collect();
+        let living = self.living();
         let mut told = BTreeSet::new();
         self.wait_shortly("the broker knows who lives", more_us, |era| {
             era.keep_a_broker();
@@ -492,6 +485,15 @@ impl<'n> Era<'n> {
             dark = free.iter().copied().filter(advertised).collect();
             dark.is_empty()
         });
+    }
+
+    /// The processes that live, the controller included.
+    fn living(&mut self) -> BTreeSet<u32> {
+        let living = self.processes.iter_mut().filter_map(|process| {
+            let pid = process.pid();
+            process.lives().then_some(pid)
+        });
+        living.chain([std::process::id()]).collect()
     }
 
     /// The processes that the broker knows, 0 for those that are not connected.
@@ -587,10 +589,12 @@ impl<'n> Era<'n> {
     /// Everybody goes, and nothing is left. What was wrong.
     pub(crate) fn end(mut self) -> anyhow::Result<Vec<String>> {
         self.broker.replace_the_fated(&self.bus)?;
-        let living = self.processes.len() + 1;
+        // Who was to die where it re-joins does it now.
+        let mut living = 0;
         self.wait("all have re-joined", |era| {
             let connected = era.connected();
-            connected.len() == living && !connected.contains(&0)
+            living = connected.len();
+            connected == era.living()
         });
         let status = self.bus.uorb(&["status", "--json"]);
         let json: Result<serde_json::Value, _> = serde_json::from_str(&status.out);
@@ -620,12 +624,7 @@ impl<'n> Era<'n> {
         if self.bus.system.dir().exists() {
             self.fault("the system's directory is left".into());
         }
-        let base = self.bus.system.base().to_path_buf();
-        let left: Vec<_> = Traces::shared_memory()
-            .difference(&self.before)
-            .filter(|path| **path != base && !Traces::is_another_s(path))
-            .cloned()
-            .collect();
+        let left = Traces::of_world(&self.world.prefix);
         if !left.is_empty() {
             self.fault(format!("left behind: {left:?}"));
         }
