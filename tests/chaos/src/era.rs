@@ -139,6 +139,9 @@ impl<'n> Era<'n> {
             if Instant::now() > deadline {
                 self.fault(format!("it never came: {what}"));
                 self.processes.iter().for_each(|process| eprintln!("{}", process.describe()));
+                let log = std::fs::read_to_string(self.bus.system.log()).unwrap_or_default();
+                let last: Vec<&str> = log.lines().rev().take(30).collect();
+                last.into_iter().rev().for_each(|line| eprintln!("  {line}"));
                 if std::env::var_os("CHAOS_HOLD").is_some() {
                     eprintln!("held, pid {}", std::process::id());
                     std::thread::sleep(Duration::from_secs(600));
@@ -421,33 +424,27 @@ impl<'n> Era<'n> {
     /// The broker's own words, and the counts in the nodes.
     fn look_at_the_bus(&mut self, restarted: bool) -> anyhow::Result<()> {
         let more_us = if restarted { 500_000 } else { 0 };
-        let living = self.living();
-        let mut told = BTreeSet::new();
+        // Who was to die where it re-joins may do it now.
+        let (mut told, mut living) = (BTreeSet::new(), BTreeSet::new());
         self.wait_shortly("the broker knows who lives", more_us, |era| {
             era.keep_a_broker();
             told = era.connected();
+            living = era.living();
             told == living
         });
         if told != living {
             self.fault(format!("the broker knows {told:?}, and {living:?} live"));
         }
-        let holding = |kind: &str, processes: &[Process]| {
-            let holds = |process: &&Process| {
-                let publishes = process.kind == kind || (kind == "copies" && process.copies());
-                publishes && process.ended.is_none() && process.cell.get(Word::State) == 1
-            };
-            processes.iter().filter(holds).count() as u64
-        };
-        let publishers = holding("publisher", &self.processes);
-        let subscribers = holding("copies", &self.processes) + 1;
-        let mut counts = (0, 0);
+        let (mut counts, mut held) = ((0, 0), (0, 0));
         self.wait_shortly("the counts are true", more_us, |era| {
+            era.keep_a_broker();
             let Some(status) = era.node().map(|node| node.status()) else { return false };
             counts = (status.publishers.len() as u64, status.subscribers);
-            counts == (publishers, subscribers)
+            held = era.held();
+            counts == held
         });
-        if counts != (publishers, subscribers) {
-            self.fault(format!("counts are {counts:?}, not {:?}", (publishers, subscribers)));
+        if counts != held {
+            self.fault(format!("counts are {counts:?}, not {held:?}"));
         }
         let mut holders = Vec::new();
         // The streams' thread may be waiting for what iceoryx2 was making when
@@ -465,6 +462,7 @@ impl<'n> Era<'n> {
     }
 
     fn look_at_the_claimed(&mut self, more_us: u64) {
+        let _ = self.living();
         let held = |process: &Process| {
             (process.kind == "claimer" && process.ended.is_none())
                 .then(|| process.cell.get(Word::Instance) as u8)
@@ -485,6 +483,19 @@ impl<'n> Era<'n> {
             dark = free.iter().copied().filter(advertised).collect();
             dark.is_empty()
         });
+    }
+
+    /// Publications and subscriptions of the shared topic, the controller's too.
+    fn held(&mut self) -> (u64, u64) {
+        let holds = |process: &mut Process| process.lives() && process.cell.get(Word::State) == 1;
+        let holding: Vec<&str> = self
+            .processes
+            .iter_mut()
+            .filter_map(|process| holds(process).then_some(process.kind))
+            .collect();
+        let publishers = holding.iter().filter(|kind| **kind == "publisher").count();
+        let others = holding.iter().filter(|kind| !["publisher", "claimer"].contains(kind)).count();
+        (publishers as u64, others as u64 + 1)
     }
 
     /// The processes that live, the controller included.
