@@ -451,6 +451,7 @@ impl<'n> Era<'n> {
         // somebody was killed.
         let more_us = more_us + UNFINISHED_US;
         self.wait_shortly("no slot is held", more_us, |era| {
+            era.keep_a_broker();
             holders = era.node().map(|node| node.slot_holders()).unwrap_or_default();
             holders.is_empty()
         });
@@ -477,6 +478,7 @@ impl<'n> Era<'n> {
         }
         let mut dark = Vec::new();
         self.wait_shortly("instances of the dead are free", more_us, |era| {
+            era.keep_a_broker();
             let Some(session) = &era.session else { return true };
             let advertised =
                 |number: &u8| session.exists(CLAIMED, instance(*number)).unwrap_or(false);
