@@ -24,7 +24,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, Once, OnceLock, PoisonError, Weak};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use nix::sys::socket::{Shutdown, shutdown};
@@ -194,18 +194,30 @@ impl Link {
         });
 
         let path = system.socket();
-        let socket = connect_patiently(system)?;
-        fail_point!("join.connected");
         // Whoever ends a system removes its socket before anybody else hears of it.
         let ended = |error| match system.is_removed() {
             true if is_loss(&error) => Error::Ended { path: system.dir() },
             _ => error,
         };
-        let (peer, system_id, world) = match join(system, &socket, None).map_err(ended)? {
-            Reply::Welcome { peer, system_id, world } => (peer, system_id, world),
-            reply => return Err(unexpected(reply)),
+        let mut socket = connect_patiently(system)?;
+        let deadline = Instant::now() + ANSWER_TIMEOUT;
+        let (peer, system_id, world, life) = loop {
+            fail_point!("join.connected");
+            let (peer, system_id, world) = match join(system, &socket, None).map_err(ended)? {
+                Reply::Welcome { peer, system_id, world } => (peer, system_id, world),
+                reply => return Err(unexpected(reply)),
+            };
+            if let Some(life) = lock_life(system, peer).map_err(ended)? {
+                break (peer, system_id, world, life);
+            }
+            // The broker has died meanwhile: the next one gives us a number.
+            if Instant::now() >= deadline {
+                return Err(no_answer(system));
+            }
+            // Nothing tells when it is there.
+            std::thread::sleep(RETRY_FROM);
+            socket = connect_patiently(system).map_err(ended)?;
         };
-        let life = lock_life(system, peer).map_err(ended)?;
         let quit = EventFd::from_flags(EfdFlags::EFD_CLOEXEC)
             .map_err(|errno| Error::io("make an event for", &path, errno.into()))?;
         let link = Arc::new(Self {

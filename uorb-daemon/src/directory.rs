@@ -55,7 +55,7 @@ pub(crate) fn open(system: &System) -> anyhow::Result<Found> {
     let now = |system_id| -> anyhow::Result<Inscription> {
         Ok(Inscription { version: NODE_FILE_VERSION, boot_id: boot_id()?, system_id })
     };
-    let living = living(system)?;
+    let living = living(system);
     let before = Inscription::read(&lock);
     if let Some(before) = before
         && !living.is_empty()
@@ -225,22 +225,23 @@ fn empty(system: &System) -> anyhow::Result<()> {
 
 /// The processes whose files are locked: they live. The files of the others are
 /// left to whoever adopts the nodes.
-fn living(system: &System) -> anyhow::Result<Vec<Survivor>> {
-    let mut living = Vec::new();
-    for peer in listed(system) {
-        let pid = match life_of(system, peer) {
-            Life::Goes(pid) => pid,
-            Life::Unknown => 0,
-            Life::Over => continue,
-        };
-        let name = match fs::read_to_string(system.peer(peer)) {
-            Ok(name) if !name.is_empty() => name,
-            // Until it has re-joined.
-            _ => "a process".into(),
-        };
-        living.push(Survivor { peer, pid, name });
-    }
-    Ok(living)
+fn living(system: &System) -> Vec<Survivor> {
+    listed(system).into_iter().filter_map(|peer| survivor(system, peer)).collect()
+}
+
+/// A process that lives, by its number.
+pub(crate) fn survivor(system: &System, peer: u16) -> Option<Survivor> {
+    let pid = match life_of(system, peer) {
+        Life::Goes(pid) => pid,
+        Life::Unknown => 0,
+        Life::Over => return None,
+    };
+    let name = match fs::read_to_string(system.peer(peer)) {
+        Ok(name) if !name.is_empty() => name,
+        // Until it has re-joined.
+        _ => "a process".into(),
+    };
+    Some(Survivor { peer, pid, name })
 }
 
 /// All processes that have a file.
@@ -278,6 +279,20 @@ pub(crate) fn life_of(system: &System, peer: u16) -> Life {
         Ok(_) if lock.l_type == libc::F_UNLCK as libc::c_short => Life::Over,
         Ok(_) => Life::Goes(lock.l_pid.unsigned_abs()),
     }
+}
+
+/// Removes the file of a process that is dead. False: it lives, after all.
+///
+/// Under its lock: who has been given its number by a broker that died, and was
+/// about to lock the file, finds out by it, and joins anew.
+pub(crate) fn forget(system: &System, peer: u16) -> bool {
+    let path = system.peer(peer);
+    let Ok(file) = File::options().read(true).write(true).open(&path) else { return true };
+    if fcntl(&file, FcntlArg::F_SETLK(&write_lock())).is_err() {
+        return false;
+    }
+    let _ = fs::remove_file(&path);
+    true
 }
 
 /// Makes the file that a new process is to lock. Its name is in it, for the next

@@ -45,14 +45,13 @@ pub(crate) fn metadata(name: &str) -> Metadata {
 
 pub(crate) fn run(
     ledger: Ledger,
-    index: usize,
+    cell: Cell,
     sender: u64,
     kind: &str,
     topic: &str,
     storm_us: u64,
 ) -> bool {
     nix::sys::prctl::set_pdeathsig(Signal::SIGKILL).expect("Linux has it");
-    let cell = ledger.cell(index);
     install_handler();
     if storm_us > 0 {
         storm(storm_us);

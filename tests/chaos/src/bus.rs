@@ -56,6 +56,8 @@ impl Broker {
         if let Some(fate) = fate {
             command.env(fate.variable, &fate.place);
         }
+        // What it says is shown where something is wrong.
+        command.env("UORB_LOG", "debug");
         let mut child =
             command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
         let mut line = String::new();

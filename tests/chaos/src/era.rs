@@ -2,13 +2,12 @@
 //! counted.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use uorb_core::broker_side::{Node, Reply, Request, Role};
 use uorb_core::zerocopy::FromBytes;
-use uorb_core::{Instance, RawSubscription, Session, now_us};
+use uorb_core::{Instance, RawSubscription, Session, World, now_us};
 use uorb_tests::{Bus, Stamped, instance};
 
 use crate::accounts::Accounts;
@@ -66,13 +65,12 @@ pub(crate) struct Era<'n> {
     /// The generation before the round.
     base: u32,
     noise: &'n Noise,
-    before: BTreeSet<PathBuf>,
+    world: World,
     faults: Vec<String>,
 }
 
 impl<'n> Era<'n> {
     pub(crate) fn begin(first_round: u64, noise: &'n Noise) -> anyhow::Result<Self> {
-        let before = Traces::shared_memory();
         // Every other era its generations pass 2^32 in the first round.
         let wraps = (first_round / crate::ERA).is_multiple_of(2);
         let topic = if wraps { "orb_test_medium_wrap_around" } else { "stamped" };
@@ -85,6 +83,7 @@ impl<'n> Era<'n> {
         let keeper =
             RawSubscription::subscribe_described(&session, &metadata(topic), Instance::FIRST)?;
         let mut era = Self {
+            world: World::of(&bus.system),
             bus,
             broker,
             ledger,
@@ -97,7 +96,6 @@ impl<'n> Era<'n> {
             round: first_round,
             base: 0,
             noise,
-            before,
             faults: Vec::new(),
         };
         era.base = era.newest();
@@ -141,6 +139,9 @@ impl<'n> Era<'n> {
             if Instant::now() > deadline {
                 self.fault(format!("it never came: {what}"));
                 self.processes.iter().for_each(|process| eprintln!("{}", process.describe()));
+                let log = std::fs::read_to_string(self.bus.system.log()).unwrap_or_default();
+                let last: Vec<&str> = log.lines().rev().take(30).collect();
+                last.into_iter().rev().for_each(|line| eprintln!("  {line}"));
                 if std::env::var_os("CHAOS_HOLD").is_some() {
                     eprintln!("held, pid {}", std::process::id());
                     std::thread::sleep(Duration::from_secs(600));
@@ -423,44 +424,34 @@ impl<'n> Era<'n> {
     /// The broker's own words, and the counts in the nodes.
     fn look_at_the_bus(&mut self, restarted: bool) -> anyhow::Result<()> {
         let more_us = if restarted { 500_000 } else { 0 };
-        let living: BTreeSet<u32> = self
-            .processes
-            .iter_mut()
-            .filter_map(|process| process.lives().then(|| process.pid()))
-            .chain([std::process::id()])
-            .collect();
-        let mut told = BTreeSet::new();
+        // Who was to die where it re-joins may do it now.
+        let (mut told, mut living) = (BTreeSet::new(), BTreeSet::new());
         self.wait_shortly("the broker knows who lives", more_us, |era| {
             era.keep_a_broker();
             told = era.connected();
+            living = era.living();
             told == living
         });
         if told != living {
             self.fault(format!("the broker knows {told:?}, and {living:?} live"));
         }
-        let holding = |kind: &str, processes: &[Process]| {
-            let holds = |process: &&Process| {
-                let publishes = process.kind == kind || (kind == "copies" && process.copies());
-                publishes && process.ended.is_none() && process.cell.get(Word::State) == 1
-            };
-            processes.iter().filter(holds).count() as u64
-        };
-        let publishers = holding("publisher", &self.processes);
-        let subscribers = holding("copies", &self.processes) + 1;
-        let mut counts = (0, 0);
+        let (mut counts, mut held) = ((0, 0), (0, 0));
         self.wait_shortly("the counts are true", more_us, |era| {
+            era.keep_a_broker();
             let Some(status) = era.node().map(|node| node.status()) else { return false };
             counts = (status.publishers.len() as u64, status.subscribers);
-            counts == (publishers, subscribers)
+            held = era.held();
+            counts == held
         });
-        if counts != (publishers, subscribers) {
-            self.fault(format!("counts are {counts:?}, not {:?}", (publishers, subscribers)));
+        if counts != held {
+            self.fault(format!("counts are {counts:?}, not {held:?}"));
         }
         let mut holders = Vec::new();
         // The streams' thread may be waiting for what iceoryx2 was making when
         // somebody was killed.
         let more_us = more_us + UNFINISHED_US;
         self.wait_shortly("no slot is held", more_us, |era| {
+            era.keep_a_broker();
             holders = era.node().map(|node| node.slot_holders()).unwrap_or_default();
             holders.is_empty()
         });
@@ -472,6 +463,7 @@ impl<'n> Era<'n> {
     }
 
     fn look_at_the_claimed(&mut self, more_us: u64) {
+        let _ = self.living();
         let held = |process: &Process| {
             (process.kind == "claimer" && process.ended.is_none())
                 .then(|| process.cell.get(Word::Instance) as u8)
@@ -486,12 +478,35 @@ impl<'n> Era<'n> {
         }
         let mut dark = Vec::new();
         self.wait_shortly("instances of the dead are free", more_us, |era| {
+            era.keep_a_broker();
             let Some(session) = &era.session else { return true };
             let advertised =
                 |number: &u8| session.exists(CLAIMED, instance(*number)).unwrap_or(false);
             dark = free.iter().copied().filter(advertised).collect();
             dark.is_empty()
         });
+    }
+
+    /// Publications and subscriptions of the shared topic, the controller's too.
+    fn held(&mut self) -> (u64, u64) {
+        let holds = |process: &mut Process| process.lives() && process.cell.get(Word::State) == 1;
+        let holding: Vec<&str> = self
+            .processes
+            .iter_mut()
+            .filter_map(|process| holds(process).then_some(process.kind))
+            .collect();
+        let publishers = holding.iter().filter(|kind| **kind == "publisher").count();
+        let others = holding.iter().filter(|kind| !["publisher", "claimer"].contains(kind)).count();
+        (publishers as u64, others as u64 + 1)
+    }
+
+    /// The processes that live, the controller included.
+    fn living(&mut self) -> BTreeSet<u32> {
+        let living = self.processes.iter_mut().filter_map(|process| {
+            let pid = process.pid();
+            process.lives().then_some(pid)
+        });
+        living.chain([std::process::id()]).collect()
     }
 
     /// The processes that the broker knows, 0 for those that are not connected.
@@ -587,10 +602,12 @@ impl<'n> Era<'n> {
     /// Everybody goes, and nothing is left. What was wrong.
     pub(crate) fn end(mut self) -> anyhow::Result<Vec<String>> {
         self.broker.replace_the_fated(&self.bus)?;
-        let living = self.processes.len() + 1;
+        // Who was to die where it re-joins does it now.
+        let mut living = 0;
         self.wait("all have re-joined", |era| {
             let connected = era.connected();
-            connected.len() == living && !connected.contains(&0)
+            living = connected.len();
+            connected == era.living()
         });
         let status = self.bus.uorb(&["status", "--json"]);
         let json: Result<serde_json::Value, _> = serde_json::from_str(&status.out);
@@ -620,12 +637,7 @@ impl<'n> Era<'n> {
         if self.bus.system.dir().exists() {
             self.fault("the system's directory is left".into());
         }
-        let base = self.bus.system.base().to_path_buf();
-        let left: Vec<_> = Traces::shared_memory()
-            .difference(&self.before)
-            .filter(|path| **path != base && !Traces::is_another_s(path))
-            .cloned()
-            .collect();
+        let left = Traces::of_world(&self.world.prefix);
         if !left.is_empty() {
             self.fault(format!("left behind: {left:?}"));
         }

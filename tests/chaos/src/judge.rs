@@ -63,8 +63,9 @@ impl Judge<'_> {
         let mut from = from_us;
         let mut more_us = 0;
         if needs_broker {
-            for (down, up) in self.down.iter().filter(|(down, up)| overlaps(*down, *up)) {
-                let _ = down;
+            // Sessions find a new broker a little after its start.
+            let back = |up: u64| up.saturating_add(REJOIN_US);
+            for (_, up) in self.down.iter().filter(|(down, up)| overlaps(*down, back(*up))) {
                 from = from.max(*up);
                 more_us = REJOIN_US;
             }

@@ -14,6 +14,8 @@ mod ledger;
 mod noise;
 mod plan;
 mod random;
+mod restarts;
+mod scribble;
 mod traces;
 
 use std::path::PathBuf;
@@ -45,6 +47,14 @@ struct Args {
     /// What the schedule is drawn from [default: the time]
     #[arg(long)]
     seed: Option<u64>,
+
+    /// Instead, restart the broker so often under load
+    #[arg(long, value_name = "TIMES")]
+    restarts: Option<u64>,
+
+    /// Instead, scribble over shared memory for so long
+    #[arg(long, value_name = "SECONDS")]
+    scribble: Option<u64>,
 }
 
 fn main() -> ExitCode {
@@ -56,8 +66,18 @@ fn main() -> ExitCode {
         return actor::publish_until_killed(&arguments[2]);
     }
     let args = Args::parse();
+    uorb_tests::raise_descriptor_limit();
     let seed = args.seed.unwrap_or_else(|| now_us() % 1_000_000);
-    match rounds(seed, args.first, args.rounds) {
+    let tell = |faults: Vec<String>| {
+        faults.iter().for_each(|fault| eprintln!("{fault}"));
+        faults.len()
+    };
+    let found = match (args.restarts, args.scribble) {
+        (Some(times), _) => restarts::restart(times).map(tell),
+        (None, Some(seconds)) => scribble::scribble_for(seconds).map(tell),
+        (None, None) => rounds(seed, args.first, args.rounds),
+    };
+    match found {
         Ok(0) => ExitCode::SUCCESS,
         Ok(faults) => {
             eprintln!("chaos: {faults} faults; repeat with --seed {seed}");
@@ -74,13 +94,18 @@ fn run_actor(words: &[String]) -> ExitCode {
     let [path, cell, sender, kind, topic, storm_us] = words else { panic!("{words:?}") };
     let number = |word: &String| word.parse().expect("a number");
     let ledger = Ledger::open(PathBuf::from(path)).expect("the ledger is there");
-    let ran =
-        actor::run(ledger, number(cell) as usize, number(sender), kind, topic, number(storm_us));
+    let (cell, sender) = (ledger.cell(number(cell) as usize), number(sender));
+    let ran = match kind.as_str() {
+        "pace" | "keep-up" | "keep-up-stream" => restarts::run(&ledger, cell, sender, kind),
+        "scribbler" | "honest-publisher" | "honest-subscriber" => {
+            scribble::run(cell, sender, kind, topic)
+        }
+        kind => actor::run(ledger, cell, sender, kind, topic, number(storm_us)),
+    };
     if ran { ExitCode::SUCCESS } else { ExitCode::from(3) }
 }
 
 fn rounds(seed: u64, first: u64, rounds: u64) -> anyhow::Result<usize> {
-    uorb_tests::raise_descriptor_limit();
     println!("chaos: --seed {seed} --first {first} --rounds {rounds}");
     let began = Instant::now();
     let noise = Noise::listen();

@@ -1,23 +1,15 @@
 //! What processes leave: files in shared memory, descriptors, mappings.
 
-use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
 
 pub(crate) struct Traces;
 
 impl Traces {
-    /// All names in /dev/shm.
-    pub(crate) fn shared_memory() -> BTreeSet<PathBuf> {
+    /// What a world of iceoryx2 has in /dev/shm.
+    pub(crate) fn of_world(prefix: &str) -> Vec<String> {
         let names = fs::read_dir("/dev/shm").into_iter().flatten().flatten();
-        names.map(|entry| entry.path()).collect()
-    }
-
-    /// Files of other buses, whose tests run meanwhile.
-    pub(crate) fn is_another_s(path: &Path) -> bool {
-        let ours = format!("uorb-test-{}-", std::process::id());
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        !name.starts_with(&ours) && (name.starts_with("uorb-") || !name.starts_with("uorb_"))
+        let names = names.filter_map(|entry| entry.file_name().into_string().ok());
+        names.filter(|name| name.starts_with(prefix)).collect()
     }
 
     /// What a process has open or mapped that is a removed file, or belongs to a

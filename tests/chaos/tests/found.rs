@@ -3,8 +3,10 @@
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
-use uorb_core::broker_side::{Node, Role};
-use uorb_core::{Instance, Subscription};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use uorb_core::broker_side::{Node, Reply, Request, Role};
+use uorb_core::{Instance, PeerInfo, Session, Subscription};
 use uorb_tests::{Bus, Stamped, eventually, program};
 
 /// A broker of this build, ready; it may have a place to die at.
@@ -46,4 +48,38 @@ fn a_broker_that_dies_in_a_burial_leaves_no_slot_to_the_dead() {
         let node = Node::open(&bus.system, "stamped", Instance::FIRST, Role::Observer).unwrap();
         assert_eq!(node.slot_holders(), Vec::<u16>::new(), "{place}");
     }
+}
+
+#[test]
+fn a_process_whose_broker_dies_between_its_welcome_and_its_lock_joins_the_next_one() {
+    let mut bus = Bus::without_broker();
+    start_broker(&mut bus, None);
+    let _keeper: Subscription<Stamped> = bus.subscribe();
+    let session = bus.session();
+    let publisher = |variable: &str| {
+        let mut command = bus.command(&program("chaos"));
+        command.args(["publish", "stamped"]).env(variable, "join.welcome");
+        command.stdin(Stdio::null()).spawn().unwrap()
+    };
+    let mut late = publisher("UORB_STOP_AT");
+    let stat = || std::fs::read_to_string(format!("/proc/{}/stat", late.id())).unwrap();
+    eventually("it has its number, and no lock", || stat().contains(") T "));
+    bus.kill_broker();
+    start_broker(&mut bus, None);
+    // Somebody who may get the number.
+    let other = Session::connect_to(&bus.system).unwrap();
+
+    kill(Pid::from_raw(late.id() as i32), Signal::SIGCONT).unwrap();
+
+    let peers = || match session.ask(Request::Peers) {
+        Ok(Reply::Peers(peers)) => peers,
+        answer => panic!("{answer:?}"),
+    };
+    let is_late = |peer: &PeerInfo| peer.connected && peer.pid == late.id();
+    eventually("it publishes", || {
+        peers().iter().any(|peer| is_late(peer) && peer.publications == 1)
+    });
+    assert!(peers().iter().all(|peer| !is_late(peer) || peer.peer != other.peer()));
+    late.kill().unwrap();
+    late.wait().unwrap();
 }

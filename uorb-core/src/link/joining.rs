@@ -4,7 +4,7 @@
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::thread;
 use std::time::Instant;
 
@@ -109,22 +109,35 @@ pub(super) fn process_name() -> String {
     name
 }
 
-/// Opens the process's own file and locks it for as long as it lives.
-pub(super) fn lock_life(system: &System, peer: u16) -> Result<File, Error> {
+/// Opens the process's own file and locks it for as long as it lives. None: the
+/// broker that gave us the number died before we had it locked, and the next one
+/// has taken us for dead. Then the number may be another's by now.
+pub(super) fn lock_life(system: &System, peer: u16) -> Result<Option<File>, Error> {
     let path = system.peer(peer);
     let file = File::options()
         .read(true)
         .write(true)
         .custom_flags(libc::O_CLOEXEC | libc::O_NOFOLLOW)
-        .open(&path)
-        .map_err(|error| Error::io("open", &path, error))?;
+        .open(&path);
+    let file = match file {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        file => file.map_err(|error| Error::io("open", &path, error))?,
+    };
     fail_point!("join.welcome");
     // A record lock, not flock or an open file description's: those outlive
     // the process in a forked child.
-    fcntl(&file, FcntlArg::F_SETLK(&write_lock()))
-        .map_err(|errno| Error::io("lock", &path, errno.into()))?;
+    match fcntl(&file, FcntlArg::F_SETLK(&write_lock())) {
+        Ok(_) => {}
+        Err(Errno::EACCES | Errno::EAGAIN) => return Ok(None),
+        Err(errno) => return Err(Error::io("lock", &path, errno.into())),
+    }
     fail_point!("join.locked");
-    Ok(file)
+    // A broker locks a file before it removes it, so ours stays from now on if
+    // it still has its name.
+    let held = file.metadata().map_err(|error| Error::io("look at", &path, error))?;
+    let is_ours = std::fs::metadata(&path)
+        .is_ok_and(|named| (named.dev(), named.ino()) == (held.dev(), held.ino()));
+    Ok(is_ours.then_some(file))
 }
 
 pub(super) fn write_lock() -> libc::flock {

@@ -105,11 +105,15 @@ impl Broker {
     /// Takes over what the broker before us left: nodes, and processes that
     /// live. Those that died meanwhile are buried now.
     pub(super) fn adopt(&mut self, living: Vec<Survivor>) -> anyhow::Result<()> {
-        for Survivor { peer, pid, name } in living {
-            self.registry.adopt_peer(peer, pid, name);
-            self.order(Order::Joined(pid));
-            if let Some(pidfd) = pidfd_of(pid) {
-                self.watch_process(peer, pidfd);
+        living.into_iter().for_each(|survivor| self.adopt_process(survivor));
+        // Who was about to join when the broker before us died lives, too, or has
+        // to join anew. Before anybody is given a number.
+        for peer in directory::listed(&self.system) {
+            if !self.registry.is_known(peer)
+                && !directory::forget(&self.system, peer)
+                && let Some(survivor) = directory::survivor(&self.system, peer)
+            {
+                self.adopt_process(survivor);
             }
         }
         fail_point!("adopt.peers");
@@ -126,11 +130,6 @@ impl Broker {
         for (topic, nodes) in topics {
             self.adopt_topic(&topic, nodes);
         }
-        for peer in directory::listed(&self.system) {
-            if !self.registry.is_known(peer) {
-                let _ = std::fs::remove_file(self.system.peer(peer));
-            }
-        }
         // Somebody may have died between its commit and its ring, and nobody
         // would have rung for it.
         for (key, node) in &self.nodes {
@@ -146,6 +145,14 @@ impl Broker {
             info!("adopted {} nodes and {peers} processes", self.nodes.len());
         }
         Ok(())
+    }
+
+    fn adopt_process(&mut self, Survivor { peer, pid, name }: Survivor) {
+        self.registry.adopt_peer(peer, pid, name);
+        self.order(Order::Joined(pid));
+        if let Some(pidfd) = pidfd_of(pid) {
+            self.watch_process(peer, pidfd);
+        }
     }
 
     /// Takes over a topic's nodes. They have one layout, unless the broker
