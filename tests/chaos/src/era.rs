@@ -602,7 +602,9 @@ impl<'n> Era<'n> {
     /// Everybody goes, and nothing is left. What was wrong.
     pub(crate) fn end(mut self) -> anyhow::Result<Vec<String>> {
         self.broker.replace_the_fated(&self.bus)?;
-        // Who was to die where it re-joins does it now.
+        // Who is to die where it re-joins might do it while it is counted.
+        let fated = self.processes.iter_mut().filter(|process| process.fate.is_some());
+        fated.for_each(Process::kill);
         let mut living = 0;
         self.wait("all have re-joined", |era| {
             let connected = era.connected();
