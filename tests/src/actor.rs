@@ -18,8 +18,8 @@ use nix::mount::{MsFlags, mount};
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{
     AdvertiseOptions, Claim, Error, Instance, Layout as MessageLayout, Metadata, Priority,
-    Publication, QueueLength, RawPublication, RawSubscription, Session, StreamOptions,
-    StreamSubscription, Subscription, System, poll, topic,
+    Publication, QueueLength, RawPublication, RawSubscription, Session, StreamSubscription,
+    Subscription, System, poll, topic,
 };
 use uorb_msg::SensorAccel;
 use uorb_tests::{PATIENCE, Plain, Stamped, heard, number, program, raise_descriptor_limit};
@@ -49,8 +49,7 @@ fn main() -> ExitCode {
         ["publish-accel"] => publish_accel(),
         ["fill-small-memory"] => fill_small_memory(),
         ["write-into-the-ring"] => write_into_the_ring(),
-        ["little-address-space", "streams"] => little_address_space(true),
-        ["little-address-space"] => little_address_space(false),
+        ["little-address-space"] => little_address_space(),
         other => panic!("no such actor: {other:?}"),
     };
     match done {
@@ -614,7 +613,7 @@ fn write_into_the_ring() -> Result<(), Error> {
 }
 
 /// Uses the bus while mmap(2) says ENOMEM, and again when it does not.
-fn little_address_space(streams: bool) -> Result<(), Error> {
+fn little_address_space() -> Result<(), Error> {
     use nix::sys::resource::{Resource, getrlimit, setrlimit};
     /// What the heap may still take: the queue below takes 17 MiB.
     const ROOM: u64 = 8 << 20;
@@ -632,11 +631,6 @@ fn little_address_space(streams: bool) -> Result<(), Error> {
     println!("{}", advertise().expect_err("it does not fit"));
     let another = Session::connect_to(session.system()).map(|_| ());
     println!("another session: {another:?}");
-    if streams {
-        let options = StreamOptions::default();
-        let wide = RawSubscription::subscribe_stream(&session, "wide", Instance::FIRST, options);
-        println!("{}", wide.expect_err("it does not fit"));
-    }
     let mut plain = Publication::<Plain>::advertise(&session)?;
     plain.publish(&Plain { value: 7 })?;
     setrlimit(Resource::RLIMIT_AS, hard, hard).expect("up to the hard one");
