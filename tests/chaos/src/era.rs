@@ -54,13 +54,13 @@ pub(crate) struct Totals {
     pub(crate) noise_us: u64,
 }
 
+/// What is dropped goes in this order: the bus last, which removes all.
 pub(crate) struct Era<'n> {
-    bus: Bus,
+    processes: Vec<Process>,
+    keeper: Option<RawSubscription>,
+    session: Option<Session>,
     broker: Broker,
     ledger: Ledger,
-    session: Option<Session>,
-    keeper: Option<RawSubscription>,
-    processes: Vec<Process>,
     stopped: Vec<Stopped>,
     next_sender: u64,
     topic: &'static str,
@@ -70,6 +70,7 @@ pub(crate) struct Era<'n> {
     noise: &'n Noise,
     world: World,
     faults: Vec<String>,
+    bus: Bus,
 }
 
 impl<'n> Era<'n> {
