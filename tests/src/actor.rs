@@ -48,6 +48,8 @@ fn main() -> ExitCode {
         ["hot-path-of-a-stream"] => hot_path_of_a_stream(),
         ["publish-accel"] => publish_accel(),
         ["fill-small-memory"] => fill_small_memory(),
+        ["write-into-the-ring"] => write_into_the_ring(),
+        ["little-address-space"] => little_address_space(),
         other => panic!("no such actor: {other:?}"),
     };
     match done {
@@ -584,6 +586,56 @@ fn fill(system: &System) -> Result<(), Error> {
     let left = std::fs::read_dir(&other).expect("it is there").flatten();
     let left: Vec<_> = left.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     println!("left: {}.", left.join(" "));
+    Ok(())
+}
+
+/// Follows, and then writes into the ring, which subscribers may only read.
+fn write_into_the_ring() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Subscription::<Stamped>::subscribe(&session)?;
+    stamped.copy();
+    let maps = std::fs::read_to_string("/proc/self/maps").expect("proc is mounted");
+    let largest = maps.lines().filter(|line| line.contains("/obj/stamped0")).filter_map(|line| {
+        let (start, end) = line.split(' ').next()?.split_once('-')?;
+        let parse = |digits| usize::from_str_radix(digits, 16).ok();
+        Some((parse(end)? - parse(start)?, parse(start)?))
+    });
+    let (_, ring) = largest.max().expect("the ring is mapped");
+    println!("writes");
+    // SAFETY: there is a mapping at this address. That it may not be written is
+    // what the story is about.
+    #[allow(unsafe_code)]
+    unsafe {
+        std::ptr::write_volatile(ring as *mut u64, 0);
+    }
+    println!("has written");
+    Ok(())
+}
+
+/// Uses the bus while mmap(2) says ENOMEM, and again when it does not.
+fn little_address_space() -> Result<(), Error> {
+    use nix::sys::resource::{Resource, getrlimit, setrlimit};
+    /// What the heap may still take: the queue below takes 17 MiB.
+    const ROOM: u64 = 8 << 20;
+    let session = Session::connect()?;
+    let metadata = Metadata {
+        layout: std::borrow::Cow::Owned(MessageLayout::untyped("wide".to_string(), 65_528)),
+        name: "wide".into(),
+        queue_length: QueueLength::new(128).expect("a power of two"),
+    };
+    let (_, hard) = getrlimit(Resource::RLIMIT_AS).expect("there is a limit");
+    let statm = std::fs::read_to_string("/proc/self/statm").expect("proc is mounted");
+    let pages: u64 = statm.split(' ').next().expect("the first number").parse().expect("a number");
+    setrlimit(Resource::RLIMIT_AS, pages * 4_096 + ROOM, hard).expect("below the hard one");
+    let advertise = || RawPublication::advertise(&session, &metadata, AdvertiseOptions::default());
+    println!("{}", advertise().expect_err("it does not fit"));
+    let another = Session::connect_to(session.system()).map(|_| ());
+    println!("another session: {another:?}");
+    let mut plain = Publication::<Plain>::advertise(&session)?;
+    plain.publish(&Plain { value: 7 })?;
+    setrlimit(Resource::RLIMIT_AS, hard, hard).expect("up to the hard one");
+    advertise()?.publish(&[7; 65_528])?;
+    println!("published");
     Ok(())
 }
 

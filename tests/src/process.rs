@@ -4,6 +4,7 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::fs::MetadataExt;
+use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
 use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::Instant;
@@ -135,6 +136,11 @@ impl Actor {
         let status = self.child.wait().expect("it is our child");
         let code = status.code().unwrap_or_else(|| panic!("it was killed: {status}"));
         Ended { code, out, words }
+    }
+
+    /// Waits for its end. The signal that it died of, if it did.
+    pub fn signal_of_death(&mut self) -> Option<i32> {
+        self.child.wait().expect("it is our child").signal()
     }
 
     /// Presses Ctrl-C, and waits for its end.

@@ -555,3 +555,47 @@ fn a_broker_that_was_killed_while_it_made_a_stream_does_not_stop_the_next_one() 
     assert_eq!(stream.update(), Some(&Plain { value: 1 }));
     bus.stop();
 }
+
+#[test]
+fn a_file_of_a_stream_that_nobody_finishes_stops_the_broker_for_a_while_only() {
+    let mut bus = Bus::start();
+    let _keeper = bus.subscribe::<Plain>();
+    let streamer = |words: &[&str], line: &str| {
+        let mut streamer = bus.spawn_program(&uorb_tests::program("streamer"), words);
+        streamer.expect(line);
+        streamer
+    };
+    let mut publisher = streamer(&["publish", "10"], "advertised");
+    let mut follower = streamer(&["follow", "16"], "subscribed");
+    publisher.say("go");
+    publisher.expect("published, refused 0");
+    let broker = nix::unistd::Pid::from_raw(bus.broker_pid() as i32);
+    nix::sys::signal::kill(broker, Signal::SIGSTOP).unwrap();
+    publisher.kill();
+    follower.kill();
+    let prefix = World::of(&bus.system).prefix;
+    let names = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let is_connection = |entry: &std::fs::DirEntry| {
+        let name = entry.file_name().into_string().unwrap();
+        name.starts_with(&prefix) && name.ends_with(".connection")
+    };
+    let made: Vec<_> = names.filter(is_connection).map(|entry| entry.path()).collect();
+    assert!(!made.is_empty());
+    // As between two system calls of one who makes it, again and again, so that
+    // it is always new when the broker begins to clean up.
+    let unfinish = || made.iter().for_each(|path| drop(std::fs::File::create(path).unwrap()));
+    unfinish();
+    nix::sys::signal::kill(broker, Signal::SIGCONT).unwrap();
+    let until = std::time::Instant::now() + Duration::from_millis(1_500);
+    while std::time::Instant::now() < until {
+        unfinish();
+        std::thread::yield_now();
+    }
+
+    let mut plain = bus.advertise::<Plain>();
+    let mut stream = bus.stream::<Plain>();
+
+    plain.publish(&Plain { value: 1 }).unwrap();
+    assert_eq!(stream.update(), Some(&Plain { value: 1 }));
+    bus.stop();
+}

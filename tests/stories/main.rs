@@ -20,6 +20,8 @@ mod crowds;
 mod deaths;
 /// A subscription is a file descriptor: poll(2), epoll, tokio, intervals.
 mod descriptors;
+/// What the kernel does not give.
+mod faults;
 /// Real flight logs.
 mod flight_logs;
 /// Programs of another house, which join by iceoryx2.

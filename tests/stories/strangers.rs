@@ -4,7 +4,7 @@ use uorb_core::broker_side::{
     Advertise, Join, PROTOCOL_VERSION, Refusal, Reply, Request, ToBroker, encode,
 };
 use uorb_core::{Claim, Error, Instance, Priority, Publication, Session, Topic};
-use uorb_tests::{Bus, Plain, Stamped, Stranger, eventually};
+use uorb_tests::{Bus, Plain, Stamped, Stranger, eventually, may_hold};
 
 fn advertise<T: Topic>(handle: u32) -> Request {
     Request::Advertise(Advertise {
@@ -194,4 +194,25 @@ fn a_stopped_broker_is_an_error_that_names_it_and_grants_nothing_later() {
     assert_eq!(again.instance(), Instance::FIRST, "nobody holds what nobody got");
     drop(again);
     assert!(!bus.is_advertised("plain"));
+}
+
+#[test]
+fn thousands_of_connections_hinder_nobody_whom_the_broker_knows() {
+    const MANY: u64 = 2_500;
+    if !may_hold(MANY) {
+        return;
+    }
+    let mut bus = Bus::start();
+    let mut plain = bus.subscribe::<Plain>();
+    let idle: Vec<_> = (0..MANY).map(|_| Stranger::connect(&bus.system)).collect();
+
+    bus.advertise::<Plain>().publish(&Plain { value: 1 }).unwrap();
+
+    assert_eq!(plain.update(), Some(Plain { value: 1 }));
+    // The last of them found the broker full, and are told so by its hanging up.
+    assert!(idle.last().unwrap().join("late").is_none());
+    assert!(log(&bus).contains("refused a connection"));
+    drop(idle);
+    eventually("there is room again", || Session::connect_to(&bus.system).is_ok());
+    assert!(std::fs::metadata(bus.system.log()).unwrap().len() < 100_000, "it did not shout");
 }

@@ -41,3 +41,7 @@ pub(crate) const LOOK_INTERVAL: Duration = Duration::from_millis(100);
 /// How often iceoryx2 cleans up after dead foreign programs. After processes of
 /// ours it does at once.
 pub(crate) const CLEAN_UP_INTERVAL: Duration = Duration::from_secs(2);
+
+/// How often it is looked for what somebody who was killed has left unfinished in
+/// the memory of streams: whoever opens that waits until it is gone.
+pub(crate) const UNFINISHED_INTERVAL: Duration = Duration::from_millis(250);

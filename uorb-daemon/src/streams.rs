@@ -26,7 +26,7 @@ use uorb_core::broker_side::{
 use uorb_core::{System, UorbHeader, World, fail_point};
 
 use crate::broker::ring;
-use crate::limits::{CLEAN_UP_INTERVAL, LOOK_INTERVAL};
+use crate::limits::{CLEAN_UP_INTERVAL, LOOK_INTERVAL, UNFINISHED_INTERVAL};
 use crate::registry::NodeKey;
 
 /// What the loop wants.
@@ -66,12 +66,21 @@ pub(crate) struct Streams {
     /// Readable while there is news.
     pub(crate) event: Arc<EventFd>,
     thread: Option<JoinHandle<()>>,
+    /// What the other thread may wait for without end, this one removes.
+    sweeper: Option<JoinHandle<()>>,
+    sweeps: Option<Sender<()>>,
 }
 
 impl Streams {
     pub(crate) fn start(system: System, world: World) -> anyhow::Result<Self> {
         let flags = EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK;
         let event = Arc::new(EventFd::from_flags(flags).context("cannot make an eventfd")?);
+        let (sweeps, until) = channel();
+        let swept = world.clone();
+        let sweeper = thread::Builder::new()
+            .name("sweeper".into())
+            .spawn(move || sweep(&swept, &until))
+            .context("cannot start the thread that sweeps")?;
         let (orders, taken) = channel();
         let (told, news) = channel();
         let reporter = Reporter { news: told, event: event.clone() };
@@ -79,7 +88,9 @@ impl Streams {
             .name("streams".into())
             .spawn(move || keep(&system, &world, &taken, &reporter))
             .context("cannot start the thread of the streams")?;
-        Ok(Self { orders: Some(orders), news, event, thread: Some(thread) })
+        let (orders, thread) = (Some(orders), Some(thread));
+        let (sweeper, sweeps) = (Some(sweeper), Some(sweeps));
+        Ok(Self { orders, news, event, thread, sweeper, sweeps })
     }
 
     pub(crate) fn order(&self, order: Order) {
@@ -100,6 +111,24 @@ impl Drop for Streams {
         self.orders = None;
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
+        }
+        // Last: the other one may have waited for it.
+        self.sweeps = None;
+        if let Some(sweeper) = self.sweeper.take() {
+            let _ = sweeper.join();
+        }
+    }
+}
+
+/// Removes what was begun in the memory of streams and never finished, until
+/// there are no streams any more. In a thread of its own: the other one waits in
+/// iceoryx2 when it meets such a file, and so may every process of the system.
+fn sweep(world: &World, until: &Receiver<()>) {
+    loop {
+        world.remove_unfinished();
+        match until.recv_timeout(UNFINISHED_INTERVAL) {
+            Err(RecvTimeoutError::Timeout) => {}
+            Ok(()) | Err(RecvTimeoutError::Disconnected) => return,
         }
     }
 }
@@ -133,15 +162,12 @@ struct Kept {
 }
 
 fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Reporter) {
-    // Before anything is opened there: it might be waited for without end.
-    world.remove_unfinished();
     let member = world.join("uorbd");
     if let Err(why) = &member {
         warn!("there are no streams: {why}");
     }
     let mut keeper = Keeper {
         system,
-        world,
         member,
         kept: BTreeMap::new(),
         ours: HashSet::from([std::process::id()]),
@@ -172,7 +198,6 @@ fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Rep
 
 struct Keeper<'s> {
     system: &'s System,
-    world: &'s World,
     member: Result<Member, String>,
     kept: BTreeMap<NodeKey, Kept>,
     /// Processes of ours, and this one.
@@ -268,7 +293,6 @@ impl Keeper<'_> {
 
     fn clean_up(&mut self) {
         if let Ok(member) = &self.member {
-            self.world.remove_unfinished();
             member.node.try_cleanup_dead_nodes();
             fail_point!("stream.cleaned");
         }

@@ -267,6 +267,8 @@ impl Actor {
     /// Copies until it has had enough of this subscription.
     fn follow(&mut self, mut subscription: RawSubscription, way: Way) -> Result<(), Error> {
         let mut looks = 0_u64;
+        // A new subscription begins with what is there, however old it is.
+        let mut is_new = true;
         loop {
             self.off_cpu_us = self.off_cpu_us();
             let (_, phase) = self.ledger.phase();
@@ -276,10 +278,10 @@ impl Actor {
             let mut is_first = true;
             while let Some(message) = next(&mut subscription, way) {
                 let copied = subscription.last_copied().expect("it was just copied");
-                if is_first {
+                if is_first && !is_new {
                     self.note(LateWhat::Copy, copied.publish_time_us);
                 }
-                is_first = false;
+                (is_first, is_new) = (false, false);
                 self.cell.add(Word::Torn, u64::from(!message.is_whole()));
                 let generation = copied.generation.get().into();
                 self.cell.log(generation, message.sender, message.count);

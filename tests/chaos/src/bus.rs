@@ -82,6 +82,11 @@ impl Broker {
         }
     }
 
+    /// When the one that runs was ready.
+    pub(crate) fn up_us(&self) -> u64 {
+        self.down_us.last().map_or(0, |(_, up)| *up)
+    }
+
     pub(crate) fn pid(&self) -> Option<u32> {
         self.child.as_ref().map(Child::id)
     }

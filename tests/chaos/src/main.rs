@@ -16,6 +16,7 @@ mod plan;
 mod random;
 mod restarts;
 mod scribble;
+mod stopped;
 mod traces;
 
 use std::path::PathBuf;
@@ -55,6 +56,15 @@ struct Args {
     /// Instead, scribble over shared memory for so long
     #[arg(long, value_name = "SECONDS")]
     scribble: Option<u64>,
+
+    /// Instead, stop each kind of process for so long, and time the others
+    #[arg(long, value_name = "SECONDS")]
+    stop: Option<u64>,
+
+    /// What CI runs: 300 rounds, 50 restarts, half a minute of scribbling, each
+    /// party stopped for a second
+    #[arg(long)]
+    ci: bool,
 }
 
 fn main() -> ExitCode {
@@ -72,10 +82,16 @@ fn main() -> ExitCode {
         faults.iter().for_each(|fault| eprintln!("{fault}"));
         faults.len()
     };
-    let found = match (args.restarts, args.scribble) {
-        (Some(times), _) => restarts::restart(times).map(tell),
-        (None, Some(seconds)) => scribble::scribble_for(seconds).map(tell),
-        (None, None) => rounds(seed, args.first, args.rounds),
+    let found = match args {
+        Args { ci: true, .. } => rounds(seed, 0, 300).and_then(|found| {
+            let restarted = tell(restarts::restart(50)?);
+            let stopped = tell(stopped::stop_each(1)?);
+            Ok(found + restarted + stopped + tell(scribble::scribble_for(30)?))
+        }),
+        Args { restarts: Some(times), .. } => restarts::restart(times).map(tell),
+        Args { scribble: Some(seconds), .. } => scribble::scribble_for(seconds).map(tell),
+        Args { stop: Some(seconds), .. } => stopped::stop_each(seconds).map(tell),
+        _ => rounds(seed, args.first, args.rounds),
     };
     match found {
         Ok(0) => ExitCode::SUCCESS,

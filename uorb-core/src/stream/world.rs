@@ -9,8 +9,7 @@
 use std::fmt;
 use std::fs;
 use std::path::PathBuf;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
@@ -31,10 +30,9 @@ pub(super) const SHM: &str = "/dev/shm";
 /// What iceoryx2 puts between the prefix and the rest of a name.
 const HASH_DIGITS: usize = 40;
 
-/// How long a file may take to get its size, and how often it is looked at. What
+/// How long a file may take to get its size. What
 /// takes longer belongs to somebody who was killed.
 const UNFINISHED_MAX: Duration = Duration::from_secs(1);
-const UNFINISHED_PAUSE: Duration = Duration::from_millis(10);
 
 /// A world of iceoryx2.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -116,20 +114,12 @@ impl World {
     /// Removes what in shared memory was begun and never finished: a file is made
     /// first, and given a size then, and somebody was killed between the two.
     /// iceoryx2 0.10 waits for the size for ever, whoever opens the file, and so
-    /// does its own cleaning up.
+    /// does its own cleaning up; when the file is gone they all go on.
     ///
-    /// What is younger than a second may still be finished, and is waited for.
+    /// What is younger than a second may still be finished.
     pub fn remove_unfinished(&self) {
-        let deadline = Instant::now() + UNFINISHED_MAX + UNFINISHED_PAUSE;
-        loop {
-            let (old, young): (Vec<_>, Vec<_>) =
-                self.unfinished().into_iter().partition(|(_, age)| *age >= UNFINISHED_MAX);
-            old.into_iter().for_each(|(path, _)| _ = fs::remove_file(path));
-            if young.is_empty() || Instant::now() >= deadline {
-                return;
-            }
-            thread::sleep(UNFINISHED_PAUSE);
-        }
+        let old = self.unfinished().into_iter().filter(|(_, age)| *age >= UNFINISHED_MAX);
+        old.for_each(|(path, _)| _ = fs::remove_file(path));
     }
 
     /// The files without a size, and how old they are. Only of this world: the
