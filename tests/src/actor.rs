@@ -618,6 +618,9 @@ fn little_address_space() -> Result<(), Error> {
     /// What the heap may still take: the queue below takes 17 MiB.
     const ROOM: u64 = 8 << 20;
     let session = Session::connect()?;
+    // An answer: the session's thread has begun. Rust aborts a process that cannot
+    // give a new thread its signal stack.
+    session.process(session.peer())?;
     let metadata = Metadata {
         layout: std::borrow::Cow::Owned(MessageLayout::untyped("wide".to_string(), 65_528)),
         name: "wide".into(),
