@@ -16,6 +16,7 @@
 pub(crate) mod port;
 pub(crate) mod reader;
 mod room;
+mod unfinished;
 mod world;
 
 use iceoryx2::prelude::{AttributeSpecifier, AttributeVerifier, ServiceName, ZeroCopySend};
@@ -27,6 +28,7 @@ use crate::ring::PUBLISHERS_MAX;
 use crate::system::System;
 use crate::topic::{Instance, Metadata};
 
+pub use unfinished::Unfinished;
 pub use world::{Member, World};
 
 /// The kind of iceoryx2 service: between processes, with ports that have no lock

@@ -21,7 +21,7 @@ use iceoryx2::service::port_factory::PortFactory;
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use tracing::{debug, warn};
 use uorb_core::broker_side::{
-    Events, Executor, Foreigners, Ipc, Member, Node, Stream, open_stream,
+    Events, Executor, Foreigners, Ipc, Member, Node, Stream, Unfinished, open_stream,
 };
 use uorb_core::{System, UorbHeader, World, fail_point};
 
@@ -76,10 +76,10 @@ impl Streams {
         let flags = EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK;
         let event = Arc::new(EventFd::from_flags(flags).context("cannot make an eventfd")?);
         let (sweeps, until) = channel();
-        let swept = world.clone();
+        let unfinished = Unfinished::of(world.clone());
         let sweeper = thread::Builder::new()
             .name("sweeper".into())
-            .spawn(move || sweep(&swept, &until))
+            .spawn(move || sweep(unfinished, &until))
             .context("cannot start the thread that sweeps")?;
         let (orders, taken) = channel();
         let (told, news) = channel();
@@ -123,9 +123,9 @@ impl Drop for Streams {
 /// Removes what was begun in the memory of streams and never finished, until
 /// there are no streams any more. In a thread of its own: the other one waits in
 /// iceoryx2 when it meets such a file, and so may every process of the system.
-fn sweep(world: &World, until: &Receiver<()>) {
+fn sweep(mut unfinished: Unfinished, until: &Receiver<()>) {
     loop {
-        world.remove_unfinished();
+        unfinished.remove();
         match until.recv_timeout(UNFINISHED_INTERVAL) {
             Err(RecvTimeoutError::Timeout) => {}
             Ok(()) | Err(RecvTimeoutError::Disconnected) => return,
@@ -159,6 +159,31 @@ struct Kept {
     suspects: HashSet<u128>,
     /// Those of which the log has a line.
     named: HashSet<u128>,
+}
+
+impl Kept {
+    /// The publishers that are none of ours, by their ports. The log has a line of
+    /// each that was there at the last look, too.
+    fn strangers(&mut self, key: &NodeKey) -> HashSet<u128> {
+        let mut strangers = HashSet::new();
+        self.stream.dynamic_config().list_publishers(|publisher| {
+            let id = publisher.publisher_id.value();
+            // A port of ours is there an instant before its id is known.
+            if !self.node.has_port_id(id) {
+                strangers.insert(id);
+                if self.suspects.contains(&id) && self.named.insert(id) {
+                    let pid = publisher.node_id.pid::<Ipc>().map_or(0, |pid| pid.value());
+                    warn!(
+                        "{}{}: a foreign program (pid {pid}) publishes on the stream; its \
+                         messages are dropped",
+                        key.0, key.1,
+                    );
+                }
+            }
+            CallbackProgression::Continue
+        });
+        strangers
+    }
 }
 
 fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Reporter) {
@@ -322,23 +347,10 @@ impl Keeper<'_> {
                 });
             }
             let listeners = kept.events.dynamic_config().number_of_listeners() as u64;
-            let mut strangers = HashSet::new();
-            users.list_publishers(|publisher| {
-                let id = publisher.publisher_id.value();
-                // A port of ours is there an instant before its id is known.
-                if !kept.node.has_port_id(id) {
-                    strangers.insert(id);
-                    if kept.suspects.contains(&id) && kept.named.insert(id) {
-                        let pid = publisher.node_id.pid::<Ipc>().map_or(0, |pid| pid.value());
-                        warn!(
-                            "{}{}: a foreign program (pid {pid}) publishes on the stream; its \
-                             messages are dropped",
-                            key.0, key.1,
-                        );
-                    }
-                }
-                CallbackProgression::Continue
-            });
+            let strangers = match users.number_of_publishers() {
+                0 => HashSet::new(),
+                _ => kept.strangers(key),
+            };
             kept.named.retain(|id| strangers.contains(id));
             kept.suspects = strangers;
             let foreign = (followers.max(listeners), kept.named.len() as u64);

@@ -9,7 +9,6 @@
 use std::fmt;
 use std::fs;
 use std::path::PathBuf;
-use std::time::Duration;
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
@@ -26,13 +25,6 @@ const LENGTH_MAX_BYTES: usize = 119;
 
 /// Where iceoryx2 has its files.
 pub(super) const SHM: &str = "/dev/shm";
-
-/// What iceoryx2 puts between the prefix and the rest of a name.
-const HASH_DIGITS: usize = 40;
-
-/// How long a file may take to get its size. What
-/// takes longer belongs to somebody who was killed.
-const UNFINISHED_MAX: Duration = Duration::from_secs(1);
 
 /// A world of iceoryx2.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,38 +103,8 @@ impl World {
         Ok(Member { node })
     }
 
-    /// Removes what in shared memory was begun and never finished: a file is made
-    /// first, and given a size then, and somebody was killed between the two.
-    /// iceoryx2 0.10 waits for the size for ever, whoever opens the file, and so
-    /// does its own cleaning up; when the file is gone they all go on.
-    ///
-    /// What is younger than a second may still be finished.
-    pub fn remove_unfinished(&self) {
-        let old = self.unfinished().into_iter().filter(|(_, age)| *age >= UNFINISHED_MAX);
-        old.for_each(|(path, _)| _ = fs::remove_file(path));
-    }
-
-    /// The files without a size, and how old they are. Only of this world: the
-    /// default one's prefix begins those of others, too, but what follows it is
-    /// a hash.
-    fn unfinished(&self) -> Vec<(PathBuf, Duration)> {
-        let is_of_this_world = |path: &PathBuf| {
-            let name = path.file_name().unwrap_or_default().as_encoded_bytes();
-            let hash = name.get(self.prefix.len()..).and_then(|rest| rest.get(..HASH_DIGITS + 1));
-            hash.is_some_and(|hash| {
-                hash.ends_with(b"_") && hash[..HASH_DIGITS].iter().all(u8::is_ascii_hexdigit)
-            })
-        };
-        let unfinished = |path: PathBuf| {
-            let file = fs::metadata(&path).ok()?;
-            let age = file.modified().ok()?.elapsed().unwrap_or_default();
-            (file.len() == 0).then_some((path, age))
-        };
-        self.names().filter(is_of_this_world).filter_map(unfinished).collect()
-    }
-
     /// What the world has in shared memory.
-    fn names(&self) -> impl Iterator<Item = PathBuf> {
+    pub(super) fn names(&self) -> impl Iterator<Item = PathBuf> {
         let entries = fs::read_dir(SHM).into_iter().flatten().flatten();
         let is_ours = |entry: &fs::DirEntry| {
             entry.file_name().as_encoded_bytes().starts_with(self.prefix.as_bytes())
