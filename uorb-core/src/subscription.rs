@@ -163,7 +163,7 @@ impl RawSubscription {
     pub fn updated(&mut self) -> bool {
         let Some(node) = &self.node else { return self.updated_once_described() };
         let has_newer = node.has_newer(self.cursor);
-        if has_newer && self.pace.is_none() && !self.is_corrupt {
+        if has_newer && self.pace.is_none() && self.reader.is_none() && !self.is_corrupt {
             return true;
         }
         if !has_newer && self.descriptor.get().is_none() {
@@ -172,10 +172,11 @@ impl RawSubscription {
         self.updated_with_care(has_newer)
     }
 
-    /// As `updated`, for a subscription with an interval or a descriptor.
+    /// As `updated`, for a subscription with an interval, a descriptor or a stream.
     #[inline(never)]
-    fn updated_with_care(&self, has_newer: bool) -> bool {
-        let updated = has_newer && !self.is_corrupt && self.is_due();
+    fn updated_with_care(&mut self, has_newer: bool) -> bool {
+        let is_there = |it: &mut Self| it.reader.is_none() || it.look_ahead(it.skips());
+        let updated = has_newer && !self.is_corrupt && self.is_due() && is_there(self);
         if !updated {
             self.settle_if_need_be();
         }
@@ -248,9 +249,7 @@ impl RawSubscription {
             return false;
         }
         if self.reader.is_some() {
-            while self.updated() {
-                self.advance();
-            }
+            self.skip_on_stream();
             return self.current().is_some();
         }
         let Some(node) = &self.node else { return false };

@@ -294,9 +294,7 @@ impl Keeper<'_> {
             .newest
             .iter()
             .flat_map(|newest| std::iter::from_fn(|| newest.receive().ok().flatten()));
-        // The latest of several publishers' by the time of publishing.
-        let ours = received.filter(|sample| kept.node.has_port_id(sample.origin().value()));
-        if let Some(sample) = ours.max_by_key(|sample| sample.user_header().publish_time_us) {
+        for sample in received.filter(|sample| kept.node.has_port_id(sample.origin().value())) {
             let header = sample.user_header();
             let stamp = (header.publish_time_us, header.publisher);
             kept.node.save_last(header.generation, stamp, sample.payload());
@@ -314,6 +312,9 @@ impl Keeper<'_> {
         kept.node.free_slots_of(peer);
         fail_point!("stream.freed");
         ring(key, &kept.node);
+        // What came of it while the dead were cleaned up after would hold their
+        // memory until somebody else dies.
+        self.save(key);
     }
 
     fn clean_up(&mut self) {

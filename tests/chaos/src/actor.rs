@@ -10,21 +10,21 @@ use std::time::Duration;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use nix::sys::signal::{SaFlags, SigAction, SigHandler, SigSet, Signal, sigaction};
-use uorb_core::zerocopy::{FromBytes, IntoBytes};
 use uorb_core::{
-    AdvertiseOptions, Claim, Error, Instance, Metadata, Priority, QueueLength, RawPublication,
-    RawSubscription, Session, StreamOptions, Topic, now_us, poll,
+    AdvertiseOptions, Claim, Error, Instance, Metadata, Priority, RawPublication, RawSubscription,
+    Session, StreamOptions, now_us, poll,
 };
 use uorb_tests::Stamped;
 
 use crate::ledger::{Cell, Late, LateWhat, Ledger, Phase, Word};
 use crate::random::Random;
-
-/// The queue of the shared topic.
-pub(crate) const QUEUE: u32 = 16;
+use crate::shared_topic::{bytes_of, is_large, is_pressed, metadata, read};
 
 /// The topic of which every claimer has an instance.
 pub(crate) const CLAIMED: &str = "chaos_claimed";
+
+/// The topic whose layout every changer changes.
+const CHANGING: &str = "chaos_changing";
 
 /// What takes this long is noted.
 const NOTED_US: u64 = 50_000;
@@ -35,13 +35,6 @@ const POLL: Duration = Duration::from_millis(400);
 
 /// Pauses of those who wait for the others.
 const PAUSE: Duration = Duration::from_micros(100);
-
-/// The shared topic under one of its names: one of them wraps its generations
-/// right at the start.
-pub(crate) fn metadata(name: &str) -> Metadata {
-    let queue_length = QueueLength::new(QUEUE).expect("a power of two");
-    Metadata { name: name.to_string().into(), queue_length, ..Stamped::METADATA.clone() }
-}
 
 pub(crate) fn run(
     ledger: Ledger,
@@ -68,6 +61,7 @@ pub(crate) fn run(
     let ran = match kind {
         "publisher" => actor.publish(false),
         "claimer" => actor.publish(true),
+        "changer" => actor.change(),
         "subscriber" => actor.subscribe(Way::Poll),
         "descriptor" => actor.subscribe(Way::Descriptor),
         "follower" => actor.subscribe(Way::Stream),
@@ -87,7 +81,8 @@ pub(crate) fn publish_until_killed(topic: &str) -> std::process::ExitCode {
     let mut publication =
         RawPublication::advertise(&session, &metadata(topic), options).expect("advertised");
     for count in 0.. {
-        publication.publish(Stamped::new(count, 1).as_bytes()).expect("the system has not ended");
+        let message = bytes_of(&Stamped::new(count, 1), publication.metadata());
+        publication.publish(&message).expect("the system has not ended");
         std::thread::sleep(PAUSE);
     }
     std::process::ExitCode::SUCCESS
@@ -152,6 +147,8 @@ impl Actor {
         what: LateWhat,
         ask: impl FnOnce(&Metadata) -> Result<T, Error>,
     ) -> Result<T, Error> {
+        // Whoever uses a large topic needs its stream.
+        let what = if is_large(&self.topic.name) { LateWhat::StreamRequest } else { what };
         self.off_cpu_us = self.off_cpu_us();
         let from_us = now_us();
         let answer = ask(&self.topic);
@@ -207,6 +204,31 @@ impl Actor {
         }
     }
 
+    /// Advertises one topic with one layout, then with another: a node that nobody
+    /// uses gives way.
+    fn change(mut self) -> Result<(), Error> {
+        let session = self.request(LateWhat::Request, |_| Session::connect())?;
+        loop {
+            self.cell.set(Word::State, 1);
+            self.pause(Phase::Quiet);
+            self.off_cpu_us = self.off_cpu_us();
+            let mut changed = metadata(CHANGING);
+            changed.layout.to_mut().message_hash = self.random.below(3) as u32;
+            let advertised = self.request(LateWhat::Request, |_| {
+                RawPublication::advertise(&session, &changed, AdvertiseOptions::default())
+            });
+            match advertised {
+                Ok(mut held) => {
+                    _ = held.publish(&bytes_of(&Stamped::new(0, self.sender), &changed))?
+                }
+                // Somebody else uses it as it is.
+                Err(Error::LayoutMismatch { .. }) => {}
+                Err(error) => return Err(error),
+            }
+            std::thread::sleep(PAUSE);
+        }
+    }
+
     fn advertise(&mut self, session: &Session, claims: bool) -> Result<RawPublication, Error> {
         let options = AdvertiseOptions {
             claim: if claims { Claim::Lowest } else { Claim::Shared(Instance::FIRST) },
@@ -224,10 +246,18 @@ impl Actor {
 
     fn publish_one(&mut self, publication: &mut RawPublication) -> Result<(), Error> {
         let count = self.cell.get(Word::Begun);
-        let message = Stamped::new(count, self.sender);
+        let message = bytes_of(&Stamped::new(count, self.sender), publication.metadata());
         self.cell.set(Word::Begun, count + 1);
         let from_us = now_us();
-        let generation = publication.publish(message.as_bytes())?;
+        let published = match is_pressed(&self.topic.name) {
+            true => publication.try_publish(&message),
+            false => publication.publish(&message),
+        };
+        if let Err(Error::QueueFull { .. }) = published {
+            self.cell.set(Word::Begun, count);
+            return Ok(());
+        }
+        let generation = published?;
         self.cell.log(generation.get().into(), self.sender, count);
         self.cell.set(Word::Done, count + 1);
         self.note(LateWhat::Publish, from_us);
@@ -240,7 +270,10 @@ impl Actor {
             let what = if way == Way::Stream { LateWhat::StreamRequest } else { LateWhat::Request };
             let subscription = self.request(what, |topic| match way {
                 Way::Stream => {
-                    let options = StreamOptions { depth: Some(512), back_pressure: false };
+                    let options = StreamOptions {
+                        depth: (!topic.layout.is_large()).then_some(512),
+                        back_pressure: is_pressed(&topic.name),
+                    };
                     RawSubscription::subscribe_stream(
                         &session,
                         &topic.name,
@@ -318,9 +351,9 @@ impl Actor {
 /// The next message, if there is one.
 fn next(subscription: &mut RawSubscription, way: Way) -> Option<Stamped> {
     if way == Way::Stream {
-        return Stamped::read_from_bytes(subscription.borrow_update()?).ok();
+        return read(subscription.borrow_update()?);
     }
     let mut bytes = Vec::new();
     let copied = subscription.updated() && subscription.copy(&mut bytes);
-    copied.then(|| Stamped::read_from_bytes(&bytes).ok()).flatten()
+    copied.then(|| read(&bytes)).flatten()
 }

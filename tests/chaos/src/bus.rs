@@ -183,7 +183,7 @@ impl Process {
     }
 
     pub(crate) fn publishes(&self) -> bool {
-        matches!(self.kind, "publisher" | "claimer")
+        matches!(self.kind, "publisher" | "claimer" | "changer")
     }
 
     /// Whether it follows the shared topic.

@@ -1,23 +1,22 @@
 //! One bus and its rounds: everybody runs, some die, the rest pauses and is
 //! counted.
 
+mod inspection;
+
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
-use uorb_core::broker_side::{Node, Reply, Request, Role};
-use uorb_core::zerocopy::FromBytes;
 use uorb_core::{Instance, RawSubscription, Session, World, now_us};
-use uorb_tests::{Bus, Stamped, instance};
+use uorb_tests::Bus;
 
-use crate::accounts::Accounts;
-use crate::actor::{CLAIMED, metadata};
 use crate::bus::{Broker, Process, signal};
 use crate::judge::{Judge, Stopped};
 use crate::ledger::{CELLS, Ledger, Phase, Word};
 use crate::noise::Noise;
-use crate::plan::{Deed, Moment, Plan};
+use crate::plan::{Deed, Moment, Plan, end_of_a_system};
 use crate::random::Random;
+use crate::shared_topic;
 use crate::traces::Traces;
 
 /// How long the controller waits for what must come before it calls it missing.
@@ -75,17 +74,18 @@ pub(crate) struct Era<'n> {
 
 impl<'n> Era<'n> {
     pub(crate) fn begin(first_round: u64, noise: &'n Noise) -> anyhow::Result<Self> {
-        // Every other era its generations pass 2^32 in the first round.
-        let wraps = (first_round / crate::ERA).is_multiple_of(2);
-        let topic = if wraps { "orb_test_medium_wrap_around" } else { "stamped" };
+        let topic = shared_topic::of_bus(first_round / crate::ERA);
         let bus = Bus::without_broker();
         let ledger = Ledger::create(bus.system.base())?;
         ledger.set_phase(first_round, Phase::Run);
         let mut broker = Broker::new();
         broker.start(&bus, None)?;
         let session = Session::connect_to(&bus.system)?;
-        let keeper =
-            RawSubscription::subscribe_described(&session, &metadata(topic), Instance::FIRST)?;
+        let keeper = RawSubscription::subscribe_described(
+            &session,
+            &shared_topic::metadata(topic),
+            Instance::FIRST,
+        )?;
         let mut era = Self {
             world: World::of(&bus.system),
             bus,
@@ -164,6 +164,9 @@ impl<'n> Era<'n> {
         // A broker that was to die somewhere may have done it meanwhile.
         let up = self.broker.up_us();
         let more_us = if up > from { more_us.max(RESTART_US) } else { more_us };
+        // Whoever uses a large topic needs its stream.
+        let needs_stream = shared_topic::is_large(self.topic);
+        let more_us = more_us + if needs_stream { UNFINISHED_US } else { 0 };
         let from = from.max(up);
         let took_us = now_us() - from;
         let noise_us = self.noise.between(from, now_us());
@@ -331,9 +334,12 @@ impl<'n> Era<'n> {
         });
         let newest = u64::from(self.newest());
         let published = self.published();
+        // A large message whose publisher was killed before it was sent is lost.
+        let may_be_lost = shared_topic::is_large(self.topic) && self.killed_publishers() > 0;
         self.wait_shortly("whoever sleeps is woken for what is there", more_us, |era| {
             era.keep_a_broker();
             published == 0
+                || may_be_lost
                 || era.processes.iter_mut().filter(|process| process.copies()).all(|process| {
                     !process.lives()
                         || process.cell.get(Word::State) != 1
@@ -356,183 +362,6 @@ impl<'n> Era<'n> {
             }
             all
         });
-    }
-
-    fn node(&self) -> Option<Node> {
-        Node::open(&self.bus.system, self.topic, Instance::FIRST, Role::Observer).ok()
-    }
-
-    fn published(&self) -> u64 {
-        self.node().map_or(0, |node| node.status().published)
-    }
-
-    fn newest(&self) -> u32 {
-        self.node().map_or(0, |node| (node.identity.base + node.status().published) as u32)
-    }
-
-    /// Every message of the round.
-    fn count(&mut self, totals: &mut Totals) {
-        let (base, newest) = (self.base, self.newest());
-        let mut accounts = Accounts::since(base);
-        for process in self.processes.iter_mut().filter(|process| process.kind == "publisher") {
-            let lives = process.lives();
-            let (begun, done) = (process.cell.get(Word::Begun), process.cell.get(Word::Done));
-            let in_flight = (begun > done).then_some((process.sender, done));
-            if lives && begun > done {
-                accounts.fault(format!("{} has paused in mid-publish", process.sender));
-            }
-            // Noted, and killed before it could say that it was.
-            let in_flight = in_flight.filter(|message| {
-                !process.cell.logged().iter().any(|noted| (noted.1, noted.2) == *message)
-            });
-            accounts.published(&process.cell.logged(), in_flight);
-        }
-        for process in self.processes.iter_mut().filter(|process| process.copies()) {
-            let cell = process.cell;
-            let who = format!("{} {} (pid {})", process.kind, process.sender, process.pid());
-            accounts.copied(&who, &cell.logged());
-            if cell.get(Word::Torn) > 0 {
-                accounts.fault(format!("{who} copied {} torn messages", cell.get(Word::Torn)));
-            }
-            if process.lives() && cell.get(Word::State) == 1 {
-                let [copied, lost, before, pending] =
-                    [Word::Copied, Word::Lost, Word::LostBefore, Word::Pending]
-                        .map(|w| cell.get(w));
-                let published = newest.wrapping_sub(cell.get(Word::First) as u32);
-                let sum = copied + lost - before + pending;
-                if u64::from(published) != sum {
-                    accounts.fault(format!(
-                        "{who}: {published} published, {copied} copied + {} lost + {pending} \
-                         pending",
-                        lost - before,
-                    ));
-                }
-            }
-        }
-        totals.messages += accounts.close(newest);
-        if let Some(keeper) = &mut self.keeper
-            && newest != base
-        {
-            keeper.skip();
-            let mut bytes = Vec::new();
-            let last = keeper.copy(&mut bytes).then(|| Stamped::read_from_bytes(&bytes).ok());
-            match last.flatten() {
-                Some(last) if last.is_whole() => {
-                    let message = (last.sender, last.count);
-                    let known = accounts.message(newest);
-                    if known.map_or(!accounts.may_be(message), |known| known != message) {
-                        accounts.fault(format!("the last value is {message:?}, not {known:?}"));
-                    }
-                }
-                last => accounts.fault(format!("the last value cannot be read: {last:?}")),
-            }
-        }
-        self.faults.append(&mut accounts.faults);
-    }
-
-    /// The broker's own words, and the counts in the nodes.
-    fn look_at_the_bus(&mut self, restarted: bool) -> anyhow::Result<()> {
-        let more_us = if restarted { RESTART_US } else { 0 };
-        // Who was to die where it re-joins may do it now.
-        let (mut told, mut living) = (BTreeSet::new(), BTreeSet::new());
-        self.wait_shortly("the broker knows who lives", more_us, |era| {
-            era.keep_a_broker();
-            told = era.connected();
-            living = era.living();
-            told == living
-        });
-        if told != living {
-            self.fault(format!("the broker knows {told:?}, and {living:?} live"));
-        }
-        let (mut counts, mut held) = ((0, 0), (0, 0));
-        self.wait_shortly("the counts are true", more_us, |era| {
-            era.keep_a_broker();
-            let Some(status) = era.node().map(|node| node.status()) else { return false };
-            counts = (status.publishers.len() as u64, status.subscribers);
-            held = era.held();
-            counts == held
-        });
-        if counts != held {
-            self.fault(format!("counts are {counts:?}, not {held:?}"));
-        }
-        let mut holders = Vec::new();
-        // The streams' thread may be waiting for what iceoryx2 was making when
-        // somebody was killed.
-        let more_us = more_us + UNFINISHED_US;
-        self.wait_shortly("no slot is held", more_us, |era| {
-            era.keep_a_broker();
-            holders = era.node().map(|node| node.slot_holders()).unwrap_or_default();
-            holders.is_empty()
-        });
-        if !holders.is_empty() {
-            self.fault(format!("slots are held by {holders:?}, and nobody publishes"));
-        }
-        self.look_at_the_claimed(more_us);
-        Ok(())
-    }
-
-    fn look_at_the_claimed(&mut self, more_us: u64) {
-        let _ = self.living();
-        let held = |process: &Process| {
-            (process.kind == "claimer" && process.ended.is_none())
-                .then(|| process.cell.get(Word::Instance) as u8)
-        };
-        let claimed: Vec<u8> = self.processes.iter().filter_map(held).collect();
-        let mut free: Vec<u8> = (0..10).collect();
-        for instance in &claimed {
-            let Some(index) = free.iter().position(|one| one + 1 == *instance) else {
-                return self.fault(format!("instances {claimed:?} (from 1) are held"));
-            };
-            free.remove(index);
-        }
-        let mut dark = Vec::new();
-        self.wait_shortly("instances of the dead are free", more_us, |era| {
-            era.keep_a_broker();
-            let Some(session) = &era.session else { return true };
-            let advertised =
-                |number: &u8| session.exists(CLAIMED, instance(*number)).unwrap_or(false);
-            dark = free.iter().copied().filter(advertised).collect();
-            dark.is_empty()
-        });
-    }
-
-    /// Publications and subscriptions of the shared topic, the controller's too.
-    fn held(&mut self) -> (u64, u64) {
-        let holds = |process: &mut Process| process.lives() && process.cell.get(Word::State) == 1;
-        let holding: Vec<&str> = self
-            .processes
-            .iter_mut()
-            .filter_map(|process| holds(process).then_some(process.kind))
-            .collect();
-        let publishers = holding.iter().filter(|kind| **kind == "publisher").count();
-        let others = holding.iter().filter(|kind| !["publisher", "claimer"].contains(kind)).count();
-        (publishers as u64, others as u64 + 1)
-    }
-
-    /// The processes that live, the controller included.
-    fn living(&mut self) -> BTreeSet<u32> {
-        let living = self.processes.iter_mut().filter_map(|process| {
-            let pid = process.pid();
-            process.lives().then_some(pid)
-        });
-        living.chain([std::process::id()]).collect()
-    }
-
-    /// The processes that the broker knows, 0 for those that are not connected.
-    /// It may die of the question; then the next one is asked.
-    fn connected(&mut self) -> BTreeSet<u32> {
-        let Some(session) = self.session.clone() else { return BTreeSet::new() };
-        let question = std::thread::spawn(move || session.ask(Request::Peers));
-        while !question.is_finished() {
-            self.keep_a_broker();
-            std::thread::sleep(TICK);
-        }
-        match question.join() {
-            Ok(Ok(Reply::Peers(peers))) => {
-                peers.iter().map(|peer| if peer.connected { peer.pid } else { 0 }).collect()
-            }
-            _ => BTreeSet::new(),
-        }
     }
 
     /// Who has ended, and why.
@@ -609,7 +438,8 @@ impl<'n> Era<'n> {
     }
 
     /// Everybody goes, and nothing is left. What was wrong.
-    pub(crate) fn end(mut self) -> anyhow::Result<Vec<String>> {
+    pub(crate) fn end(mut self, seed: u64, totals: &mut Totals) -> anyhow::Result<Vec<String>> {
+        let fate = end_of_a_system(&mut Random::of_round(seed, self.round));
         self.broker.replace_the_fated(&self.bus)?;
         // Who is to die where it re-joins might do it while it is counted.
         let fated = self.processes.iter_mut().filter(|process| process.fate.is_some());
@@ -641,6 +471,16 @@ impl<'n> Era<'n> {
         }
         self.keeper = None;
         self.session = None;
+        if let Some(fate) = fate {
+            self.broker.kill();
+            self.broker.start(&self.bus, Some(&fate))?;
+            let ended = self.broker.stop()?;
+            if ended.success() {
+                self.fault(format!("the broker was to die at {}, and ended", fate.place));
+            }
+            totals.places.extend(fate.place.split(':').next().map(ToString::to_string));
+            self.broker.start(&self.bus, None)?;
+        }
         let ended = self.broker.stop()?;
         if !ended.success() {
             self.fault(format!("the broker ended: {ended}"));

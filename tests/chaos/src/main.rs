@@ -16,6 +16,7 @@ mod plan;
 mod random;
 mod restarts;
 mod scribble;
+mod shared_topic;
 mod stopped;
 mod traces;
 
@@ -148,7 +149,7 @@ fn rounds(seed: u64, first: u64, rounds: u64) -> anyhow::Result<usize> {
         let names = places.iter().filter_map(|place| place.split(':').next());
         totals.places.extend(names.map(ToString::to_string));
         if !is_spoilt {
-            let faults = era.end()?;
+            let faults = era.end(seed, &mut totals)?;
             tell(round - 1, faults);
         }
     }

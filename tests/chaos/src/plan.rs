@@ -6,8 +6,8 @@ use crate::bus::Fate;
 use crate::random::Random;
 
 /// What actors may be.
-pub(crate) const KINDS: [&str; 5] =
-    ["publisher", "claimer", "subscriber", "descriptor", "follower"];
+pub(crate) const KINDS: [&str; 6] =
+    ["publisher", "claimer", "changer", "subscriber", "descriptor", "follower"];
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Deed {
@@ -89,7 +89,7 @@ impl Plan {
 
 fn fate_of(kind: &str, random: &mut Random) -> Fate {
     let families: &[&str] = match kind {
-        "publisher" | "claimer" => {
+        "publisher" | "claimer" | "changer" => {
             &["join.", "rejoin.", "advertise.", "publish.", "publish.", "port.", "unadvertise."]
         }
         "follower" => {
@@ -105,9 +105,23 @@ fn fate_of(kind: &str, random: &mut Random) -> Fate {
     Fate { variable, place: format!("{}:{passing}", random.of(&places)) }
 }
 
+/// Where a broker may die that ends its system.
+pub(crate) fn end_of_a_system(random: &mut Random) -> Option<Fate> {
+    random.once_in(2).then(|| place_of(&["end."], 1, random))
+}
+
 fn broker_s_fate(random: &mut Random) -> Fate {
-    const FAMILIES: [&str; 10] = [
-        "start.", "adopt.", "broker.", "broker.", "node.", "ring.", "admit.", "bury.", "bury.",
+    const FAMILIES: [&str; 11] = [
+        "start.",
+        "adopt.",
+        "broker.",
+        "broker.",
+        "node.",
+        "ring.",
+        "admit.",
+        "give_way.",
+        "bury.",
+        "bury.",
         "stream.",
     ];
     let passings = if random.once_in(2) { 30 } else { 3 };

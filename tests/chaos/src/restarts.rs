@@ -14,9 +14,9 @@ use uorb_core::{
 };
 use uorb_tests::{Bus, Stamped};
 
-use crate::actor::{QUEUE, metadata};
 use crate::bus::{Broker, Process};
 use crate::ledger::{Cell, Ledger, Word};
+use crate::shared_topic::{QUEUE, metadata};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 const TOPIC: &str = "stamped";

@@ -20,10 +20,10 @@ use uorb_core::{
 };
 use uorb_tests::{Bus, Stamped};
 
-use crate::actor::metadata;
 use crate::bus::{Broker, Process};
 use crate::ledger::{Cell, Ledger, Word};
 use crate::random::Random;
+use crate::shared_topic::metadata;
 
 const SPOILT: &str = "stamped";
 const SOUND: &str = "orb_test_medium_wrap_around";

@@ -15,9 +15,9 @@ use uorb_core::zerocopy::IntoBytes;
 use uorb_core::{AdvertiseOptions, Instance, RawPublication, RawSubscription, Session, poll};
 use uorb_tests::{Bus, Stamped};
 
-use crate::actor::metadata;
 use crate::bus::{Broker, Fate, Process, signal};
 use crate::ledger::{Ledger, Phase, Word};
+use crate::shared_topic::metadata;
 
 const TOPIC: &str = "stamped";
 const WINDOWS: u32 = 10;

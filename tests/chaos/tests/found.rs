@@ -6,14 +6,19 @@ use std::process::{Child, Command, Stdio};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use uorb_core::broker_side::{Node, Reply, Request, Role};
-use uorb_core::{Instance, PeerInfo, Session, Subscription};
+use uorb_core::zerocopy::IntoBytes;
+use uorb_core::{
+    AdvertiseOptions, Instance, Metadata, PeerInfo, RawPublication, RawSubscription, Session,
+    Subscription,
+};
 use uorb_tests::{Bus, Stamped, eventually, program};
 
 /// A broker of this build, ready; it may have a place to die at.
 fn start_broker(bus: &mut Bus, fate: Option<&str>) {
     let mut command = Command::new(program("uorbd-with-fail-points"));
     command.args(["--ready-fd", "1", "--dir"]).arg(bus.system.base());
-    command.envs(fate.map(|place| ("UORB_DIE_AT", place))).stdout(Stdio::piped());
+    command.envs(fate.map(|place| ("UORB_DIE_AT", place))).env("UORB_LOG", "debug");
+    command.stdout(Stdio::piped());
     let mut broker = command.spawn().unwrap();
     let mut line = String::new();
     BufReader::new(broker.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
@@ -21,11 +26,26 @@ fn start_broker(bus: &mut Bus, fate: Option<&str>) {
     bus.adopt_broker(broker);
 }
 
-/// A publisher of `stamped` that is to die at a place.
-fn fated_publisher(bus: &Bus, place: &str) -> Child {
+/// A publisher that is to stop, or to die, at a place.
+fn publisher(bus: &Bus, topic: &str, fates: &[(&str, &str)]) -> Child {
     let mut command = bus.command(&program("chaos"));
-    command.args(["publish", "stamped"]).env("UORB_DIE_AT", place);
+    command.args(["publish", topic]).envs(fates.iter().copied());
     command.stdin(Stdio::null()).spawn().unwrap()
+}
+
+fn go_on(process: &Child) {
+    kill(Pid::from_raw(process.id() as i32), Signal::SIGCONT).unwrap();
+}
+
+/// A large message, of the topic's size.
+fn large(count: u64, metadata: &Metadata) -> Vec<u8> {
+    let stamped = Stamped::new(count, 0);
+    stamped.as_bytes().repeat(metadata.layout.size_bytes as usize / size_of::<Stamped>())
+}
+
+fn is_stopped(process: &Child) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", process.id())).unwrap();
+    stat.contains(") T ")
 }
 
 #[test]
@@ -38,7 +58,7 @@ fn a_broker_that_dies_in_a_burial_leaves_no_slot_to_the_dead() {
         let _keeper: Subscription<Stamped> = bus.subscribe();
         // The stream is there: its thread gives slots back.
         drop(bus.stream::<Stamped>());
-        let mut victim = fated_publisher(&bus, "publish.claimed:3");
+        let mut victim = publisher(&bus, "stamped", &[("UORB_DIE_AT", "publish.claimed:3")]);
         victim.wait().unwrap();
         eventually("the broker has died", || bus.running_broker().is_none());
         bus.kill_broker();
@@ -56,20 +76,14 @@ fn a_process_whose_broker_dies_between_its_welcome_and_its_lock_joins_the_next_o
     start_broker(&mut bus, None);
     let _keeper: Subscription<Stamped> = bus.subscribe();
     let session = bus.session();
-    let publisher = |variable: &str| {
-        let mut command = bus.command(&program("chaos"));
-        command.args(["publish", "stamped"]).env(variable, "join.welcome");
-        command.stdin(Stdio::null()).spawn().unwrap()
-    };
-    let mut late = publisher("UORB_STOP_AT");
-    let stat = || std::fs::read_to_string(format!("/proc/{}/stat", late.id())).unwrap();
-    eventually("it has its number, and no lock", || stat().contains(") T "));
+    let mut late = publisher(&bus, "stamped", &[("UORB_STOP_AT", "join.welcome")]);
+    eventually("it has its number, and no lock", || is_stopped(&late));
     bus.kill_broker();
     start_broker(&mut bus, None);
     // Somebody who may get the number.
     let other = Session::connect_to(&bus.system).unwrap();
 
-    kill(Pid::from_raw(late.id() as i32), Signal::SIGCONT).unwrap();
+    go_on(&late);
 
     let peers = || match session.ask(Request::Peers) {
         Ok(Reply::Peers(peers)) => peers,
@@ -82,4 +96,112 @@ fn a_process_whose_broker_dies_between_its_welcome_and_its_lock_joins_the_next_o
     assert!(peers().iter().all(|peer| !is_late(peer) || peer.peer != other.peer()));
     late.kill().unwrap();
     late.wait().unwrap();
+}
+
+#[test]
+fn a_large_message_that_is_on_its_way_is_not_new_yet() {
+    let mut bus = Bus::without_broker();
+    start_broker(&mut bus, None);
+    let session = bus.session();
+    let mut images = RawSubscription::subscribe(&session, "chaos_large", Instance::FIRST).unwrap();
+    let mut process = publisher(&bus, "chaos_large", &[("UORB_STOP_AT", "publish.committed:20")]);
+    let mut bytes = Vec::new();
+    eventually("it stops between its commit and sending", || {
+        while images.updated() {
+            assert!(images.copy(&mut bytes));
+        }
+        is_stopped(&process)
+    });
+    let copied = images.last_copied();
+    assert!(copied.is_some_and(|copied| copied.generation.get() < 20));
+
+    let is_new = images.updated();
+
+    assert!(!is_new, "there is nothing to copy but what was copied: {copied:?}");
+    go_on(&process);
+    eventually("it goes on", || images.updated());
+    assert!(images.copy(&mut bytes) && images.last_copied() != copied);
+    process.kill().unwrap();
+    process.wait().unwrap();
+}
+
+#[test]
+fn two_large_messages_on_their_way_hold_the_third_up_for_a_moment_only() {
+    let mut bus = Bus::without_broker();
+    start_broker(&mut bus, None);
+    let session = bus.session();
+    let mut images = RawSubscription::subscribe(&session, "chaos_large", Instance::FIRST).unwrap();
+    let mut stopped = ["first", "second"].map(|_| {
+        let stop = ("UORB_STOP_AT", "publish.committed:1");
+        let process = publisher(&bus, "chaos_large", &[stop]);
+        eventually("it stops between its commit and sending", || is_stopped(&process));
+        // With the first the topic is there to be followed.
+        assert!(images.metadata().is_some());
+        process
+    });
+    let metadata = images.metadata().cloned().unwrap();
+    let options = AdvertiseOptions::default();
+    let mut ours = RawPublication::advertise(&session, &metadata, options).unwrap();
+
+    ours.publish(&large(3, &metadata)).unwrap();
+
+    eventually("the third comes", || images.updated());
+    let mut bytes = Vec::new();
+    assert!(images.copy(&mut bytes));
+    assert!(bytes == large(3, &metadata));
+    assert_eq!(images.lost(), 2);
+    for process in &mut stopped {
+        process.kill().unwrap();
+        process.wait().unwrap();
+    }
+}
+
+#[test]
+fn a_large_message_that_came_late_does_not_replace_the_newest() {
+    let mut bus = Bus::without_broker();
+    start_broker(&mut bus, None);
+    let session = bus.session();
+    let mut keeper = RawSubscription::subscribe(&session, "chaos_large", Instance::FIRST).unwrap();
+    // The first message of all is sent after the second, by one who dies then.
+    let fates = [("UORB_STOP_AT", "publish.committed:1"), ("UORB_DIE_AT", "publish.sent:1")];
+    let mut late = publisher(&bus, "chaos_large", &fates);
+    eventually("it stops between its commit and sending", || is_stopped(&late));
+    let metadata = keeper.metadata().cloned().unwrap();
+    let options = AdvertiseOptions::default();
+    let mut ours = RawPublication::advertise(&session, &metadata, options).unwrap();
+    ours.publish(&large(2, &metadata)).unwrap();
+    drop(ours);
+    let log = || std::fs::read_to_string(bus.system.log()).unwrap();
+    let kept = || log().matches("keeps the last message").count();
+    eventually("the second is kept", || kept() > 0);
+    let before = kept();
+
+    go_on(&late);
+    late.wait().unwrap();
+    eventually("what the other sent has been looked at", || kept() > before);
+
+    let mut bytes = Vec::new();
+    let mut newcomer =
+        RawSubscription::subscribe(&session, "chaos_large", Instance::FIRST).unwrap();
+    assert!(newcomer.copy(&mut bytes));
+    assert!(bytes == large(2, &metadata));
+}
+
+#[test]
+fn a_broker_that_starts_after_a_large_publisher_s_death_holds_nothing_of_it() {
+    let mut bus = Bus::without_broker();
+    start_broker(&mut bus, None);
+    let session = bus.session();
+    let mut images = RawSubscription::subscribe(&session, "chaos_large", Instance::FIRST).unwrap();
+    let mut process = publisher(&bus, "chaos_large", &[]);
+    eventually("it publishes", || images.updated());
+    bus.kill_broker();
+    process.kill().unwrap();
+    process.wait().unwrap();
+
+    start_broker(&mut bus, None);
+
+    let pid = bus.running_broker().unwrap();
+    let maps = || std::fs::read_to_string(format!("/proc/{pid}/maps")).unwrap();
+    eventually("nothing of the dead is mapped", || !maps().contains("(deleted)"));
 }

@@ -339,7 +339,8 @@ impl Node {
 
     // What the broker does.
 
-    /// Keeps a large message whose publisher has died.
+    /// Keeps a large message whose publisher has died, if none that is newer is
+    /// kept.
     pub fn save_last(&self, generation_low: u32, stamp: (u64, u32), message: &[u8]) {
         let Some(last) = self.last.as_ref().filter(|_| self.role == Role::Broker) else { return };
         if message.len() != self.identity.metadata.layout.size_bytes as usize {
@@ -347,13 +348,16 @@ impl Node {
         }
         let newest = self.newest(self.identity.base);
         let behind = (newest as u32).wrapping_sub(generation_low);
+        let generation = newest.saturating_sub(behind.into());
+        if generation <= self.last_generation() {
+            return;
+        }
         let words = last.words();
         words[last_section::GENERATION].store(0, Ordering::Relaxed);
         fence(Ordering::Release);
         words[last_section::PUBLISH_TIME].store(stamp.0, Ordering::Relaxed);
         words[last_section::PUBLISHER].store(stamp.1.into(), Ordering::Relaxed);
         store_words(&words[last_section::PAYLOAD..], message);
-        let generation = newest.saturating_sub(behind.into());
         words[last_section::GENERATION].store(generation, Ordering::Release);
     }
 

@@ -43,9 +43,9 @@ pub(crate) struct Reader {
     /// Messages that came before their turn, by generation.
     early: BTreeMap<u64, Message>,
     current: Current,
-    /// The message that the subscription begins with, until it is delivered: it
-    /// is the current one already.
-    begun: Option<Found>,
+    /// The next message, where it was found and not yet taken: it is the current
+    /// one already.
+    ahead: Option<Found>,
     /// The memory of a copy, so that copying allocates twice and no more.
     spare: Vec<u8>,
     /// Ids of ports that were found in the node's table.
@@ -68,7 +68,7 @@ impl fmt::Debug for Reader {
     }
 }
 
-/// The message that was delivered last.
+/// The message that was found last.
 enum Current {
     None,
     Borrowed(Message),
@@ -119,7 +119,7 @@ impl Reader {
             is_large: metadata.layout.is_large(),
             early: BTreeMap::new(),
             current: Current::None,
-            begun: None,
+            ahead: None,
             spare: Vec::new(),
             known_ports: Vec::new(),
             awaited: (0, 0),
@@ -137,7 +137,7 @@ impl Reader {
         self.index
     }
 
-    /// The message that was delivered last.
+    /// The message that was found last.
     pub(crate) fn current(&self) -> Option<&[u8]> {
         match &self.current {
             Current::None => None,
@@ -150,19 +150,40 @@ impl Reader {
     /// is asked for, the node may have forgotten it. False: it is not there yet.
     pub(crate) fn begin(&mut self, node: &Node, generation: u64) -> bool {
         if let Ok(Place::Here(stamp)) = self.find(node, generation) {
-            self.begun = Some(Found { generation, stamp });
+            self.ahead = Some(Found { generation, stamp });
         }
-        self.begun.is_some()
+        self.ahead.is_some()
     }
 
     /// Looks for the message after `cursor`, or, where that is lost, the next
-    /// one that is not.
+    /// one that is not. What is found stays so until it is taken.
     #[inline]
-    pub(crate) fn next(&mut self, node: &Node, cursor: u64, skips: Skips) -> Result<Next, Corrupt> {
-        if let Some(begun) = self.begun.take().filter(|begun| begun.generation == cursor + 1) {
-            node.set_received(self.index, begun.generation);
-            return Ok(Next::Found(begun));
+    pub(crate) fn look(&mut self, node: &Node, cursor: u64, skips: Skips) -> Result<Next, Corrupt> {
+        if let Some(ahead) = self.ahead {
+            return Ok(Next::Found(ahead));
         }
+        let next = self.search(node, cursor, skips)?;
+        if let Next::Found(found) = next {
+            self.ahead = Some(found);
+        }
+        Ok(next)
+    }
+
+    /// Takes the message that the last look has found.
+    #[inline]
+    pub(crate) fn take(&mut self, node: &Node) -> Option<Found> {
+        let found = self.ahead.take()?;
+        node.set_received(self.index, found.generation);
+        Some(found)
+    }
+
+    /// All up to this message is taken for received.
+    pub(crate) fn pass_over(&self, node: &Node, generation: u64) {
+        node.set_received(self.index, generation);
+    }
+
+    #[inline]
+    fn search(&mut self, node: &Node, cursor: u64, skips: Skips) -> Result<Next, Corrupt> {
         // Whatever was committed before this look was sent, is on its way, or
         // will never come.
         let newest = node.newest(cursor);
@@ -171,16 +192,13 @@ impl Reader {
             match self.find(node, wanted)? {
                 Place::Here(stamp) => {
                     self.count_lost(node, wanted - cursor - 1, skips);
-                    node.set_received(self.index, wanted);
                     if wanted == newest && node.has_foreign_publishers() {
                         self.drop_foreign(node, newest);
                     }
                     return Ok(Next::Found(Found { generation: wanted, stamp }));
                 }
-                Place::OnItsWay => {
-                    // What is lost already is counted when the next is found.
-                    return Ok(Next::NotYet);
-                }
+                // What is lost before it need not be looked for again.
+                Place::OnItsWay => break,
                 Place::Nowhere => wanted = self.first_after(node, wanted),
             }
         }

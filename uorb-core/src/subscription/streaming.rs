@@ -84,41 +84,82 @@ impl RawSubscription {
         }
     }
 
-    /// Makes the next message the current one. False: there is nothing new.
+    /// Whether the next message is there: one that is committed may still be on
+    /// its way. It is the current one then.
     #[inline]
-    pub(crate) fn advance(&mut self) -> bool {
+    pub(super) fn look_ahead(&mut self, skips: Skips) -> bool {
         let (Some(reader), Some(node)) = (&mut self.reader, &self.node) else { return false };
-        let skips = if self.pace.is_some() { Skips::AreWanted } else { Skips::AreLost };
-        let found = loop {
-            match reader.next(node, self.cursor, skips) {
-                Ok(Next::Found(found)) => break Some(found),
+        loop {
+            match reader.look(node, self.cursor, skips) {
+                Ok(Next::Found(found)) => {
+                    // What is lost before it has been counted.
+                    self.cursor = found.generation - 1;
+                    return true;
+                }
                 Ok(Next::AllLost(generation)) => self.cursor = generation,
-                Ok(Next::NotYet) => break None,
+                Ok(Next::NotYet) => return false,
                 Err(_) => {
                     self.is_corrupt = true;
-                    break None;
+                    return false;
                 }
             }
-        };
-        if let Some(found) = found {
+        }
+    }
+
+    /// What is not there any more was not wanted where there is an interval.
+    pub(super) fn skips(&self) -> Skips {
+        if self.pace.is_some() { Skips::AreWanted } else { Skips::AreLost }
+    }
+
+    /// Takes the next message. False: there is nothing new.
+    #[inline]
+    pub(crate) fn advance(&mut self) -> bool {
+        let found = self.look_ahead(self.skips());
+        if found {
             fail_point!("receive.found");
-            self.cursor = found.generation;
-            self.last = Some(Copied {
-                generation: Generation::from_wide(found.generation),
-                publish_time_us: found.stamp.publish_time_us,
-                peer: found.stamp.publisher as u16,
-            });
-            if let Some(pace) = &mut self.pace {
-                pace.copied(now_us());
-            }
+            self.take_ahead();
         }
         if self.descriptor.get().is_some() {
             self.settle();
         }
-        found.is_some()
+        found
     }
 
-    /// The message that `advance` has made the current one.
+    #[inline]
+    /// Makes the newest message that has come the current one.
+    pub(super) fn skip_on_stream(&mut self) {
+        while self.pending() > 0 {
+            if self.look_ahead(Skips::AreWanted) {
+                self.take_ahead();
+            } else if let (Some(reader), Some(node)) = (&self.reader, &self.node)
+                && node.has_newer(self.cursor)
+            {
+                // It is on its way, and others may have overtaken it.
+                self.cursor += 1;
+                reader.pass_over(node, self.cursor);
+            }
+            if self.is_corrupt {
+                break;
+            }
+        }
+        self.settle();
+    }
+
+    fn take_ahead(&mut self) {
+        let (Some(reader), Some(node)) = (&mut self.reader, &self.node) else { return };
+        let Some(found) = reader.take(node) else { return };
+        self.cursor = found.generation;
+        self.last = Some(Copied {
+            generation: Generation::from_wide(found.generation),
+            publish_time_us: found.stamp.publish_time_us,
+            peer: found.stamp.publisher as u16,
+        });
+        if let Some(pace) = &mut self.pace {
+            pace.copied(now_us());
+        }
+    }
+
+    /// The message that was found last.
     pub(crate) fn current(&self) -> Option<&[u8]> {
         self.reader.as_ref()?.current()
     }
