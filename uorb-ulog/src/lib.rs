@@ -4,7 +4,8 @@
 //! their messages, and the messages themselves, in the order of the file. What is
 //! wrong with a log is a [`Fault`] that names the byte.
 //!
-//! [`Writer`] writes one, record by record, to whatever takes bytes.
+//! [`Writer`] writes one, record by record, to whatever takes bytes, and [`record()`]
+//! a bus.
 //!
 //! The format is described at <https://docs.px4.io/main/en/dev_log/ulog_file_format>.
 #![deny(missing_docs)]
@@ -14,6 +15,7 @@ mod format;
 mod log;
 mod parameters;
 mod record;
+mod recorder;
 mod schema;
 mod writer;
 
@@ -22,6 +24,7 @@ pub use self::{
     log::{Ending, Fault, Message, RecordFault, Series, Told, read},
     parameters::{ParameterFault, parse_parameters},
     record::{NoLog, Source},
+    recorder::{Choice, Place, Plan, RecordError, Rule, Tally, record},
     schema::Unloggable,
     writer::{Announced, Head, Level, Parameter, ParameterValue, SeriesId, Value, Writer},
 };
