@@ -138,6 +138,8 @@ struct Recorder<'a> {
     tally: Tally,
     began_us: u64,
     file_began_us: u64,
+    /// Messages in the files before this one.
+    before_messages: u64,
     /// Bytes of the files before this one.
     before_bytes: u64,
     /// Since when there was no room.
@@ -162,14 +164,7 @@ struct Followed {
 impl<'a> Recorder<'a> {
     fn begin(session: &'a Session, plan: &'a Plan, pipe: &'a Pipe) -> Result<Self, RecordError> {
         let mut files = Files::new(plan.place.clone());
-        let mut topics = Vec::new();
-        for (topic, _) in session.system().list_nodes()? {
-            if plan.choice.rate(&topic).is_some()
-                && let Ok(metadata) = session.describe(&topic)
-            {
-                topics.push((topic, metadata.layout.into_owned()));
-            }
-        }
+        let topics = on_the_bus(session, plan)?;
         let (path, file) = files.next()?;
         pipe.next_file(path.clone(), file);
         let began_us = now_us();
@@ -184,6 +179,7 @@ impl<'a> Recorder<'a> {
             tally: Tally { files: vec![path], ..Tally::default() },
             began_us,
             file_began_us: began_us,
+            before_messages: 0,
             before_bytes: 0,
             full_since_us: None,
             noted_until_us: 0,
@@ -218,7 +214,7 @@ impl<'a> Recorder<'a> {
                 written(self.writer.sync());
             }
             if self.is_file_full(now_us) {
-                self.next_file(None)?;
+                self.next_file()?;
             }
             self.tally.seconds = now_us.saturating_sub(self.began_us) as f64 / 1e6;
             self.tally.bytes = self.before_bytes + self.writer.written_bytes();
@@ -291,7 +287,7 @@ impl<'a> Recorder<'a> {
         let number = instance.number();
         let mut announced = written(self.writer.announce(topic, number, layout));
         if announced == Ok(Announced::NeedsNewFile) {
-            self.next_file(Some((topic, layout)))?;
+            self.next_file()?;
             announced = written(self.writer.announce(topic, number, layout));
         }
         let why = match announced {
@@ -305,16 +301,22 @@ impl<'a> Recorder<'a> {
         Ok(None)
     }
 
-    /// Begins a new file, with one more topic that made it necessary.
-    fn next_file(&mut self, more: Option<(&str, &Layout)>) -> Result<(), RecordError> {
-        let (path, file) = self.files.next()?;
-        self.before_bytes += self.writer.written_bytes();
-        self.pipe.next_file(path.clone(), file);
-        self.tally.files.push(path);
+    /// Begins a new file, for all topics that are on the bus by now; the same one
+    /// anew, if no message is in it yet.
+    fn next_file(&mut self) -> Result<(), RecordError> {
+        let mut topics: Vec<_> =
+            self.followed.iter().map(|it| (it.topic.clone(), it.layout.clone())).collect();
+        topics.extend(on_the_bus(self.session, self.plan)?);
         self.file_began_us = now_us();
-        let more = more.map(|(topic, layout)| (topic.to_string(), layout.clone()));
-        let followed = self.followed.iter().map(|it| (it.topic.clone(), it.layout.clone()));
-        let topics = more.into_iter().chain(followed).collect();
+        if self.tally.messages == self.before_messages {
+            self.pipe.same_file_anew();
+        } else {
+            let (path, file) = self.files.next()?;
+            self.before_messages = self.tally.messages;
+            self.before_bytes += self.writer.written_bytes();
+            self.pipe.next_file(path.clone(), file);
+            self.tally.files.push(path);
+        }
         self.writer = begin_file(self.plan, self.pipe, topics);
         for it in &mut self.followed {
             let number = it.subscription.instance().number();
@@ -328,9 +330,8 @@ impl<'a> Recorder<'a> {
 
     fn is_file_full(&self, now_us: u64) -> bool {
         let is_long = |max: u64| self.writer.written_bytes() >= max;
-        let is_old = |every: Duration| {
-            now_us.saturating_sub(self.file_began_us) >= every.as_micros() as u64
-        };
+        let is_old =
+            |every: Duration| now_us.saturating_sub(self.file_began_us) >= every.as_micros() as u64;
         self.plan.max_size_bytes.is_some_and(is_long) || self.plan.rotate_every.is_some_and(is_old)
     }
 
@@ -399,6 +400,18 @@ impl<'a> Recorder<'a> {
             written(self.writer.dropout(Duration::from_micros(to_us - from_us)));
         }
     }
+}
+
+/// Name and layout of the chosen topics that have nodes.
+fn on_the_bus(session: &Session, plan: &Plan) -> Result<Vec<(String, Layout)>, RecordError> {
+    let mut names: Vec<String> =
+        session.system().list_nodes()?.into_iter().map(|(topic, _)| topic).collect();
+    names.dedup();
+    names.retain(|topic| plan.choice.rate(topic).is_some());
+    // One that has gone meanwhile is not there.
+    let describe = |topic: String| Some((session.describe(&topic).ok()?.layout, topic));
+    let found = names.into_iter().filter_map(describe);
+    Ok(found.map(|(layout, topic)| (topic, layout.into_owned())).collect())
 }
 
 /// The head of a file: the topics of the bus first, and then those that may come.

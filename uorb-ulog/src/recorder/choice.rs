@@ -30,7 +30,8 @@ impl FromStr for Rule {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (pattern, rate) = text.split_once(':').map_or((text, None), |(one, two)| (one, Some(two)));
+        let (pattern, rate) =
+            text.split_once(':').map_or((text, None), |(one, two)| (one, Some(two)));
         let is_letter = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'*';
         if pattern.is_empty() || !pattern.bytes().all(is_letter) {
             return Err(format!("{pattern:?} is no topic, and no pattern of one"));
@@ -56,7 +57,8 @@ impl Choice {
     /// In words, which name the line.
     pub fn parse_profile(text: &str) -> Result<Vec<Rule>, String> {
         let lines = (1..).zip(text.lines());
-        let lines = lines.map(|(number, line)| (number, line.split('#').next().unwrap_or("").trim()));
+        let lines =
+            lines.map(|(number, line)| (number, line.split('#').next().unwrap_or("").trim()));
         lines
             .filter(|(_, line)| !line.is_empty())
             .map(|(number, line)| line.parse().map_err(|why| format!("line {number}: {why}")))

@@ -44,7 +44,9 @@ impl Files {
             Place::Sessions(dir) => {
                 let session = match &self.session {
                     Some(session) => session.clone(),
-                    None => self.session.insert(session(dir).map_err(|e| (dir.clone(), e))?).clone(),
+                    None => {
+                        self.session.insert(session(dir).map_err(|e| (dir.clone(), e))?).clone()
+                    }
                 };
                 session.join(format!("log{number:03}.ulg"))
             }

@@ -7,7 +7,7 @@
 
 use std::collections::VecDeque;
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, Seek, Write};
 use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -37,11 +37,14 @@ struct Shared {
     changed: Condvar,
 }
 
+type Files = VecDeque<(usize, Option<(PathBuf, File)>)>;
+
 #[derive(Debug, Default)]
 struct State {
     bytes: Vec<u8>,
-    /// From which of the bytes on they go into another file.
-    files: VecDeque<(usize, PathBuf, File)>,
+    /// From which of the bytes on they go into another file. None: into the same
+    /// one, from its beginning.
+    files: Files,
     has_ended: bool,
     failed: Option<(PathBuf, io::Error)>,
 }
@@ -60,7 +63,14 @@ impl Pipe {
     pub(super) fn next_file(&self, path: PathBuf, file: File) {
         let mut state = self.shared.state();
         let at = state.bytes.len();
-        state.files.push_back((at, path, file));
+        state.files.push_back((at, Some((path, file))));
+    }
+
+    /// What goes in from now on goes into the same file, instead of what is there.
+    pub(super) fn same_file_anew(&self) {
+        let mut state = self.shared.state();
+        let at = state.bytes.len();
+        state.files.push_back((at, None));
     }
 
     pub(super) fn has_room(&self, bytes: usize) -> bool {
@@ -120,9 +130,8 @@ impl Shared {
         let mut synced = Instant::now();
         loop {
             let state = self.state();
-            let waits = |state: &mut State| {
-                state.bytes.len() < WORTH_WRITING_BYTES && !state.has_ended
-            };
+            let waits =
+                |state: &mut State| state.bytes.len() < WORTH_WRITING_BYTES && !state.has_ended;
             let waited = self.changed.wait_timeout_while(state, FLUSH_EVERY, waits);
             let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
             chunk.clear();
@@ -151,17 +160,24 @@ impl Shared {
 fn write(
     open: &mut Option<(PathBuf, File)>,
     bytes: &[u8],
-    files: VecDeque<(usize, PathBuf, File)>,
+    files: Files,
     is_due: bool,
 ) -> io::Result<()> {
     let mut from = 0;
-    for (at, path, file) in files {
-        if let Some((_, before)) = open {
-            before.write_all(&bytes[from..at])?;
-            before.sync_data()?;
+    for (at, next) in files {
+        match (&mut *open, next) {
+            (Some((_, same)), None) => {
+                same.set_len(0)?;
+                same.rewind()?;
+            }
+            (Some((_, before)), next) => {
+                before.write_all(&bytes[from..at])?;
+                before.sync_data()?;
+                *open = next;
+            }
+            (None, next) => *open = next,
         }
         from = at;
-        *open = Some((path, file));
     }
     if let Some((_, file)) = open {
         file.write_all(&bytes[from..])?;
