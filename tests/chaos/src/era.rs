@@ -66,6 +66,8 @@ pub(crate) struct Era<'n> {
     round: u64,
     /// The generation before the round.
     base: u32,
+    /// How often there was no broker before the round.
+    downs: usize,
     noise: &'n Noise,
     world: World,
     faults: Vec<String>,
@@ -99,6 +101,7 @@ impl<'n> Era<'n> {
             topic,
             round: first_round,
             base: 0,
+            downs: 0,
             noise,
             faults: Vec::new(),
         };
@@ -181,6 +184,7 @@ impl<'n> Era<'n> {
         let plan = Plan::draw(&mut Random::of_round(seed, self.round));
         let began_us = now_us();
         self.stopped.clear();
+        self.downs = self.broker.down_us.len();
         if let Some(fate) = &plan.burial {
             self.broker.kill();
             while !self.broker.start(&self.bus, Some(fate))? {}

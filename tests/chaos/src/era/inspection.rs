@@ -32,6 +32,7 @@ impl Era<'_> {
         let mut accounts = Accounts::since(base);
         let killed = self.killed_publishers();
         let may_be_lost = is_large(self.topic) && killed > 0;
+        let has_no_keeper = may_be_lost && self.broker.down_us.len() > self.downs;
         for process in self.processes.iter_mut().filter(|process| process.kind == "publisher") {
             let lives = process.lives();
             let (begun, done) = (process.cell.get(Word::Begun), process.cell.get(Word::Done));
@@ -81,10 +82,10 @@ impl Era<'_> {
             let last = keeper.copy(&mut bytes).then(|| shared_topic::read(&bytes));
             match last.flatten() {
                 // It was its publisher's and the broker's, and both have died.
-                None if may_be_lost => {}
+                None if has_no_keeper => {}
                 Some(last) if last.is_whole() => {
                     let message = (last.sender, last.count);
-                    let known = accounts.message(newest);
+                    let known = accounts.message(newest).filter(|_| !has_no_keeper);
                     // A large one that was committed and never sent is lost.
                     let known = known.or(may_be_lost.then_some(message));
                     if known.map_or(!accounts.may_be(message), |known| known != message) {
