@@ -5,6 +5,7 @@
 //! be worth trying is kept in `corpus/<target>`, and `cargo test` tries it
 //! again. To see one crash alone, put its file there.
 
+mod logs;
 mod messages;
 mod nodes;
 mod packets;
@@ -29,6 +30,7 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("packets", packets::both_directions),
     ("node-file", nodes::open),
     ("pub-values", values::assign),
+    ("flight-log", logs::read_all),
 ];
 
 /// The target of this name.
