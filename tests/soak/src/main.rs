@@ -1,7 +1,7 @@
 //! `scripts/soak`: a hundred topics at their rates for a long time, and a line a
 //! minute of what everybody holds, loses and waits.
 //!
-//! Four processes publish 25 topics each (1,880 messages a second together), two
+//! Four processes publish 25 topics each (2,240 messages a second together), two
 //! copy all hundred by `poll`, one follows all hundred streams. It ends with
 //! `flat`, or with what grew by the rule in `held.rs`, or was lost: then the exit
 //! code is 1. Ctrl-C ends it cleanly, with 130.
