@@ -5,10 +5,7 @@
 //! the file and with the bytes of the file: only when they go out is ours.
 
 mod contents;
-mod format;
-mod log;
 mod pace;
-mod record;
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -23,11 +20,10 @@ use uorb_core::{
     AdvertiseOptions, Claim, Error, Instance, Metadata, QueueLength, RawPublication, Session,
     is_topic_name,
 };
+use uorb_ulog::{Ending, Fault, Message, Series, Source, Told, read};
 
 use self::contents::Contents;
-use self::log::{Ending, Fault, Message, Series, Told, read};
 use self::pace::Speed;
-use self::record::Source;
 use crate::context::Context;
 use crate::exit::Early;
 use crate::interrupt::Interrupt;

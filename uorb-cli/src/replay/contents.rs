@@ -7,9 +7,9 @@
 use std::collections::HashSet;
 use std::io::SeekFrom;
 
-use super::log::{Ending, Fault, Series, Told, read};
+use uorb_ulog::{Ending, Fault, Series, Source, Told, read};
+
 use super::pace::{Clock, Judge, Judged};
-use super::record::Source;
 
 /// What is in a log.
 #[derive(Debug)]
@@ -128,8 +128,19 @@ impl Span {
 mod tests {
     use std::io::Cursor;
 
-    use super::super::record::tests::{file, record};
     use super::*;
+
+    fn record(kind: u8, payload: &[u8]) -> Vec<u8> {
+        let mut bytes = (payload.len() as u16).to_le_bytes().to_vec();
+        bytes.push(kind);
+        bytes.extend_from_slice(payload);
+        bytes
+    }
+
+    /// A log of these records, which begins at the timestamp 1,000,000.
+    fn file(records: &[Vec<u8>]) -> Vec<u8> {
+        [b"ULog\x01\x12\x35\x01", &1_000_000_u64.to_le_bytes()[..], &records.concat()].concat()
+    }
 
     const FORMAT: &[u8] = b"a:uint64_t timestamp;float x;uint8_t[4] _padding0;";
 

@@ -8,15 +8,15 @@
 use std::collections::VecDeque;
 use std::io::{self, Read, Seek, SeekFrom};
 
-pub(super) const HEADER_BYTES: usize = 16;
+pub(crate) const HEADER_BYTES: usize = 16;
 const MAGIC: &[u8] = b"ULog\x01\x12\x35";
 
 /// A file, or the bytes of one.
-pub(super) trait Source: Read + Seek {}
+pub trait Source: Read + Seek {}
 impl<S: Read + Seek> Source for S {}
 
 /// The records of one log, in the order of the file.
-pub(super) struct Records<'s> {
+pub(crate) struct Records<'s> {
     source: &'s mut dyn Source,
     /// Where the next record begins.
     at_byte: u64,
@@ -30,7 +30,7 @@ pub(super) struct Records<'s> {
 
 /// What comes next in a log.
 #[derive(Debug)]
-pub(super) enum Next<'a> {
+pub(crate) enum Next<'a> {
     Record(Record<'a>),
     /// The file ends inside a record: of this kind, if that much is left.
     CutOff(Option<u8>),
@@ -41,21 +41,21 @@ pub(super) enum Next<'a> {
 
 /// One record.
 #[derive(Debug)]
-pub(super) struct Record<'a> {
+pub(crate) struct Record<'a> {
     /// Where it begins, in bytes from the start of the file.
-    pub(super) at_byte: u64,
-    pub(super) kind: u8,
+    pub(crate) at_byte: u64,
+    pub(crate) kind: u8,
     /// With its length and its type.
-    pub(super) bytes: &'a mut Vec<u8>,
+    pub(crate) bytes: &'a mut Vec<u8>,
 }
 
 impl Record<'_> {
-    pub(super) fn payload(&self) -> &[u8] {
+    pub(crate) fn payload(&self) -> &[u8] {
         &self.bytes[3..]
     }
 
     /// Leaves off the end of the payload.
-    pub(super) fn shorten(&mut self, payload_bytes: usize) {
+    pub(crate) fn shorten(&mut self, payload_bytes: usize) {
         self.bytes.truncate(3 + payload_bytes);
         let length = u16::try_from(payload_bytes).expect("it was shorter than 2^16 before");
         self.bytes[..2].copy_from_slice(&length.to_le_bytes());
@@ -64,18 +64,21 @@ impl Record<'_> {
 
 /// Why a file is no log at all.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum NoLog {
+pub enum NoLog {
+    /// Not a byte is in it.
     #[error("it is empty")]
     Empty,
+    /// It begins with other bytes than a ULog.
     #[error("it is not a ULog: it does not begin as one")]
     OtherFile,
+    /// It has not even a header.
     #[error("it ends at byte {0}, inside the header of {HEADER_BYTES} bytes")]
     HeaderCutOff(u64),
 }
 
 impl<'s> Records<'s> {
     /// Begins with the header, which is returned.
-    pub(super) fn begin(
+    pub(crate) fn begin(
         source: &'s mut dyn Source,
     ) -> io::Result<Result<(Self, [u8; HEADER_BYTES]), NoLog>> {
         let file_bytes = source.seek(SeekFrom::End(0))?;
@@ -105,13 +108,13 @@ impl<'s> Records<'s> {
     }
 
     /// Where the next record begins.
-    pub(super) fn at_byte(&self) -> u64 {
+    pub(crate) fn at_byte(&self) -> u64 {
         self.at_byte
     }
 
     /// Takes note of where records were appended: rising, and not where we have
     /// been already. Otherwise returns the offset that makes no sense.
-    pub(super) fn append(&mut self, offsets: &[u64]) -> Result<(), u64> {
+    pub(crate) fn append(&mut self, offsets: &[u64]) -> Result<(), u64> {
         let mut before = self.at_byte;
         for &offset in offsets.iter().filter(|&&offset| offset != 0) {
             if offset <= before {
@@ -126,7 +129,7 @@ impl<'s> Records<'s> {
         Ok(())
     }
 
-    pub(super) fn next(&mut self) -> io::Result<Next<'_>> {
+    pub(crate) fn next(&mut self) -> io::Result<Next<'_>> {
         loop {
             let end_byte = self.appended.front().copied().unwrap_or(u64::MAX);
             let record_bytes = self.record_bytes(end_byte)?;
@@ -164,12 +167,12 @@ impl<'s> Records<'s> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use std::io::Cursor;
 
     use super::*;
 
-    pub(in super::super) fn record(kind: u8, payload: &[u8]) -> Vec<u8> {
+    fn record(kind: u8, payload: &[u8]) -> Vec<u8> {
         let mut bytes = (payload.len() as u16).to_le_bytes().to_vec();
         bytes.push(kind);
         bytes.extend_from_slice(payload);
@@ -177,7 +180,7 @@ pub(super) mod tests {
     }
 
     /// A log of these records, which begins at the timestamp 1,000,000.
-    pub(in super::super) fn file(records: &[Vec<u8>]) -> Vec<u8> {
+    fn file(records: &[Vec<u8>]) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         bytes.push(1);
         bytes.extend_from_slice(&1_000_000_u64.to_le_bytes());

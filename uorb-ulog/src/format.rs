@@ -19,16 +19,17 @@ const FORMATS_MAX: usize = 4_096;
 
 /// The formats of a log, by the names of their messages.
 #[derive(Debug, Default)]
-pub(super) struct Formats {
+pub(crate) struct Formats {
     /// What comes after the colon.
     texts: HashMap<String, String>,
     /// The byte of the file at which each stands, in their order.
     bytes: Vec<(String, u64)>,
 }
 
-/// What is wrong with a format.
+/// What is wrong with a format. Its words say it.
+#[allow(missing_docs)]
 #[derive(Debug, PartialEq, thiserror::Error)]
-pub(super) enum FormatFault {
+pub enum FormatFault {
     #[error("the format {0:?} is not `NAME:TYPE FIELD;TYPE FIELD;`")]
     NoName(String),
     #[error("there are two formats of message {0}")]
@@ -70,7 +71,7 @@ impl FormatFault {
 
 impl Formats {
     /// Takes a format as it stands in the log.
-    pub(super) fn add(&mut self, at_byte: u64, text: &str) -> Result<(), FormatFault> {
+    pub(crate) fn add(&mut self, at_byte: u64, text: &str) -> Result<(), FormatFault> {
         let (name, fields) = match text.split_once(':') {
             Some((name, fields)) if !name.is_empty() => (name, fields),
             _ => return Err(FormatFault::NoName(excerpt(text))),
@@ -87,7 +88,7 @@ impl Formats {
 
     /// Checks all of them, those that nobody uses too. Says at which byte the
     /// one stands that is at fault.
-    pub(super) fn check(&self) -> Result<(), (u64, FormatFault)> {
+    pub(crate) fn check(&self) -> Result<(), (u64, FormatFault)> {
         for (message, at_byte) in &self.bytes {
             self.layout(message).map_err(|fault| {
                 let culprit = fault.message().unwrap_or(message);
@@ -99,7 +100,7 @@ impl Formats {
     }
 
     /// The layout of a message, nested ones included.
-    pub(super) fn layout(&self, message: &str) -> Result<Layout, FormatFault> {
+    pub(crate) fn layout(&self, message: &str) -> Result<Layout, FormatFault> {
         if !self.texts.contains_key(message) {
             return Err(FormatFault::Unknown(message.to_string()));
         }

@@ -14,67 +14,83 @@ use px4_ulog::stream_parser::model::UlogParseError;
 use px4_ulog::stream_parser::{DataMessage, LogParser};
 use uorb_core::{Field, FieldType, Layout};
 
-use super::format::{FormatFault, Formats};
-use super::record::{Next, NoLog, Record, Records, Source};
+use crate::format::{FormatFault, Formats};
+use crate::record::{Next, NoLog, Record, Records, Source};
 
 /// A topic instance as the log has it.
 #[derive(Debug)]
-pub(super) struct Series {
-    pub(super) topic: String,
+pub struct Series {
+    /// The topic's name, as the file says: not checked.
+    pub topic: String,
     /// As the file says: not checked.
-    pub(super) instance: u8,
-    pub(super) layout: Layout,
+    pub instance: u8,
+    /// What its messages look like.
+    pub layout: Layout,
 }
 
 /// One thing that a log tells, in the order of the file.
 #[derive(Debug)]
-pub(super) enum Told<'a> {
+pub enum Told<'a> {
     /// When the logger was started, as the header has it.
     Began {
+        /// In microseconds since the start of the vehicle.
         timestamp_us: u64,
     },
     /// A topic instance. They are numbered as they come, from 0 up.
     Series(Series),
+    /// A message of one of them.
     Message(Message<'a>),
 }
 
 /// A message as it was logged.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Message<'a> {
+pub struct Message<'a> {
     /// The number of its series.
-    pub(super) series: usize,
+    pub series: usize,
     /// When it was recorded; None where it has no timestamp, or 0.
-    pub(super) timestamp_us: Option<u64>,
+    pub timestamp_us: Option<u64>,
     /// Without the padding at its end.
-    pub(super) bytes: &'a [u8],
+    pub bytes: &'a [u8],
 }
 
 /// How a log ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Ending {
+pub enum Ending {
+    /// Behind a record.
     Whole,
     /// Somewhere in a record that begins at this byte.
     CutOff {
+        /// Where the record begins that is not whole.
         at_byte: u64,
     },
 }
 
 /// Why a log cannot be read, or not any further.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Fault {
+pub enum Fault {
+    /// The file cannot be read.
     #[error(transparent)]
     Io(#[from] io::Error),
+    /// It is another kind of file.
     #[error(transparent)]
     NoLog(#[from] NoLog),
+    /// A log in which nobody says anything.
     #[error("it ends at byte {0}, and there is no message in it")]
     NoMessage(u64),
+    /// The log is damaged, or its author was mistaken.
     #[error("byte {at_byte}: {what}")]
-    Record { at_byte: u64, what: RecordFault },
+    Record {
+        /// Where the record begins.
+        at_byte: u64,
+        /// What is wrong with it.
+        what: RecordFault,
+    },
 }
 
-/// What is wrong with a record.
+/// What is wrong with a record. Its words say it.
+#[allow(missing_docs)]
 #[derive(Debug, thiserror::Error)]
-pub(super) enum RecordFault {
+pub enum RecordFault {
     #[error("{0:#04x} is no type of record: the log is damaged here")]
     Kind(u8),
     #[error("a record of type {kind} has {size_bytes} bytes, too few for one")]
@@ -101,7 +117,11 @@ pub(super) enum RecordFault {
 }
 
 /// Tells what is in a log, up to the record that begins at `until_byte`.
-pub(super) fn read<E: From<Fault>>(
+///
+/// # Errors
+///
+/// [`Fault`] where the log cannot be read, or not any further; what `tell` returns.
+pub fn read<E: From<Fault>>(
     source: &mut dyn Source,
     until_byte: u64,
     mut tell: impl FnMut(Told<'_>) -> Result<(), E>,

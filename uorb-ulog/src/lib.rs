@@ -1,0 +1,19 @@
+//! ULog, the format of PX4's flight logs.
+//!
+//! [`read`] tells what is in a log: which topics there are, with the layouts of
+//! their messages, and the messages themselves, in the order of the file. What is
+//! wrong with a log is a [`Fault`] that names the byte.
+//!
+//! The format is described at <https://docs.px4.io/main/en/dev_log/ulog_file_format>.
+#![deny(missing_docs)]
+#![deny(unsafe_code)]
+
+mod format;
+mod log;
+mod record;
+
+pub use self::{
+    format::FormatFault,
+    log::{Ending, Fault, Message, RecordFault, Series, Told, read},
+    record::{NoLog, Source},
+};
