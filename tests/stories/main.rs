@@ -44,6 +44,8 @@ mod modules;
 mod places;
 /// `uorb pub`, `info` and `ls`.
 mod publishing;
+/// `uorb record`.
+mod recording;
 /// `uorb replay`.
 mod replay;
 /// Processes that the broker cannot trust, and a broker in need.

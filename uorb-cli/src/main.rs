@@ -21,6 +21,7 @@ mod msg;
 mod nearest;
 mod print;
 mod publish;
+mod record;
 mod replay;
 mod start;
 mod status;
@@ -56,6 +57,7 @@ Examples:
   uorb info sensor_accel                  fields, publishers, subscribers
   uorb ls /obj                            list the nodes, as `ls /obj` does
   uorb top                                watch how much is published, and lost
+  uorb record -o flight.ulg               record a flight log
   uorb replay flight.ulg --speed 4        publish a flight log
   uorb msg my_messages                    compile .msg files to C and C++
   uorb stop                               stop the broker
@@ -75,6 +77,7 @@ enum Command {
     Ls(ls::Args),
     Info(info::Args),
     Pub(publish::Args),
+    Record(record::Args),
     Replay(replay::Args),
     Test(test::Args),
     Msg(msg::Args),
@@ -124,6 +127,7 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Completions(args) => completions::run(args, out),
         Command::Man(args) => man::run(args, Cli::command(), out),
         Command::Ls(args) => ls::run(args, &context, out),
+        Command::Record(args) => record::run(args, &context),
         Command::Replay(args) => replay::run(args, &context, out),
     }
 }

@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use serde_json::json;
+use uorb_core::broker_side::{Node, Role};
 use uorb_core::{
     AdvertiseOptions, Claim, Error, Instance, Metadata, QueueLength, RawPublication, Session,
     is_topic_name,
@@ -25,7 +26,7 @@ use uorb_ulog::{Ending, Fault, Message, Series, Source, Told, read};
 use self::contents::Contents;
 use self::pace::Speed;
 use crate::context::Context;
-use crate::exit::Early;
+use crate::exit::{Early, say};
 use crate::interrupt::Interrupt;
 use crate::topics::compiled_in;
 
@@ -72,6 +73,11 @@ pub(crate) struct Args {
         allow_negative_numbers = true
     )]
     queue: Option<u32>,
+
+    /// Lose nothing: begin when every topic is followed, and wait for followers
+    /// that ask for it (`uorb record --back-pressure`) when they are behind
+    #[arg(long)]
+    back_pressure: bool,
 
     /// No progress bar, and no closing line
     #[arg(long, short)]
@@ -123,6 +129,9 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
         outlets.push(if is_chosen { Some(Outlet::open(&session, series, args)?) } else { None });
     }
 
+    if args.back_pressure {
+        wait_for_followers(&session, &outlets)?;
+    }
     let bar = bar(args, contents.length_us);
     let mut replay = Replay { args, contents: &contents, outlets, bar, position_us: 0 };
     let start = Instant::now();
@@ -278,15 +287,25 @@ impl Replay<'_> {
             }
             self.position_us = position_us;
             self.bar.set_position(position_us);
-            self.publish(message)
+            self.publish(message, &interrupt)
         })?;
         Ok(())
     }
 
-    fn publish(&mut self, message: Message<'_>) -> anyhow::Result<()> {
+    fn publish(&mut self, message: Message<'_>, interrupt: &Interrupt) -> anyhow::Result<()> {
         let Some(outlet) = &mut self.outlets[message.series] else { return Ok(()) };
         outlet.message[..message.bytes.len()].copy_from_slice(message.bytes);
-        outlet.publication.publish(&outlet.message)?;
+        if !self.args.back_pressure {
+            outlet.publication.publish(&outlet.message)?;
+        } else {
+            while let Err(error) = outlet.publication.try_publish(&outlet.message) {
+                match error {
+                    Error::QueueFull { .. } if interrupt.has_come() => bail!(Early::Interrupted),
+                    Error::QueueFull { .. } => std::thread::sleep(QUEUE_FULL_PAUSE),
+                    error => return Err(error.into()),
+                }
+            }
+        }
         outlet.published += 1;
         Ok(())
     }
@@ -344,6 +363,34 @@ impl Replay<'_> {
         }
         Ok(())
     }
+}
+
+/// How long to wait for room in a follower's queue before one looks again.
+const QUEUE_FULL_PAUSE: Duration = Duration::from_millis(1);
+
+/// Waits until somebody follows the stream of each instance.
+fn wait_for_followers(session: &Session, outlets: &[Option<Outlet>]) -> anyhow::Result<()> {
+    let interrupt = Interrupt::catch()?;
+    for outlet in outlets.iter().flatten() {
+        let (topic, instance) =
+            (&outlet.publication.metadata().name, outlet.publication.instance());
+        let node = Node::open(session.system(), topic, instance, Role::Observer)?;
+        let since = Instant::now();
+        let mut has_said = false;
+        while !node.streams().iter().any(|stream| stream.entry.back_pressure) {
+            if !has_said && since.elapsed() >= Duration::from_secs(1) {
+                say(format_args!(
+                    "{topic}{instance} is not followed with back-pressure yet; waiting, Ctrl-C ends it"
+                ));
+                has_said = true;
+            }
+            let soon = Instant::now() + Duration::from_millis(5);
+            if interrupt.wait_until(Some(soon))? {
+                bail!(Early::Interrupted);
+            }
+        }
+    }
+    Ok(())
 }
 
 /// A bar on a terminal's stderr; nothing where that is none.
