@@ -77,6 +77,7 @@ impl Streams {
         let event = Arc::new(EventFd::from_flags(flags).context("cannot make an eventfd")?);
         let (sweeps, until) = channel();
         let unfinished = Unfinished::of(world.clone());
+        unfinished.remove_services();
         let sweeper = thread::Builder::new()
             .name("sweeper".into())
             .spawn(move || sweep(unfinished, &until))

@@ -47,7 +47,8 @@ pub(crate) fn end_the_running(system: &System) -> anyhow::Result<()> {
     match kill(Pid::from_raw(holder.l_pid), Signal::SIGKILL) {
         Ok(()) | Err(Errno::ESRCH) => {}
         Err(errno) => {
-            return Err(errno).with_context(|| format!("cannot end the broker, pid {}", holder.l_pid));
+            return Err(errno)
+                .with_context(|| format!("cannot end the broker, pid {}", holder.l_pid));
         }
     }
     loop {
