@@ -6,12 +6,13 @@ use uorb_core::Instance;
 use uorb_core::broker_side::{Node, Reply, Request, Role};
 use uorb_tests::instance;
 
-use super::{Era, RESTART_US, TICK, Totals, UNFINISHED_US};
+use super::{Era, HELD_MAX, HELD_ON_STREAM_MAX, RESTART_US, TICK, Totals, UNFINISHED_US};
 use crate::accounts::Accounts;
 use crate::actor::CLAIMED;
 use crate::bus::Process;
 use crate::ledger::Word;
 use crate::shared_topic::{self, is_large, is_pressed};
+use crate::traces::Traces;
 
 impl Era<'_> {
     fn node(&self) -> Option<Node> {
@@ -96,6 +97,22 @@ impl Era<'_> {
             }
         }
         self.faults.append(&mut accounts.faults);
+    }
+
+    /// Whoever outlived many brokers and neighbours has kept nothing of them.
+    pub(super) fn look_at_what_survivors_hold(&mut self) {
+        for process in &mut self.processes {
+            if !process.lives() {
+                continue;
+            }
+            let streams = matches!(process.kind, "publisher" | "follower") || is_large(self.topic);
+            let (open_max, mapped_max) = if streams { HELD_ON_STREAM_MAX } else { HELD_MAX };
+            let (open, mapped) = Traces::held_by(process.pid());
+            if open > open_max || mapped > mapped_max {
+                let kind = process.kind;
+                self.faults.push(format!("a {kind} has {open} descriptors and {mapped} mappings"));
+            }
+        }
     }
 
     /// How many of those who publish to the shared topic have died in this round.
