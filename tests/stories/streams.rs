@@ -467,3 +467,24 @@ fn a_loan_is_read_and_written_while_newcomers_are_connected_to_its_port() {
     drop((first, image));
     bus.stop();
 }
+
+#[test]
+fn what_a_publisher_sent_before_it_went_is_received_by_one_who_looks_later() {
+    let mut bus = Bus::start();
+    let mut keeper = bus.advertise::<Plain>();
+    let mut stream = bus.stream::<Plain>();
+    keeper.publish(&Plain { value: 0 }).unwrap();
+    assert!(stream.update().is_some());
+
+    // More than the node keeps, and the follower has not seen their port.
+    let mut short = bus.advertise::<Plain>();
+    for value in 1..=100 {
+        short.publish(&Plain { value }).unwrap();
+    }
+    drop(short);
+
+    for value in 1..=100 {
+        assert_eq!(stream.update(), Some(&Plain { value }));
+    }
+    assert_eq!(stream.lost(), 0);
+}

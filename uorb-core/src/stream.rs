@@ -59,9 +59,10 @@ pub struct UorbHeader {
 /// the broker's own.
 pub const STREAMS_MAX: usize = 16;
 
-/// Publishers that iceoryx2 lets in: ours, and a few foreign ones, so that they
-/// can be seen and named.
-pub(crate) const PORTS_MAX: usize = PUBLISHERS_MAX as usize + 4;
+/// Publishers that iceoryx2 lets in: ours, as many whose publications are gone and
+/// whose messages are not received yet, and a few foreign ones, so that they can be
+/// seen and named.
+pub(crate) const PORTS_MAX: usize = 2 * PUBLISHERS_MAX as usize + 4;
 
 /// Processes that may have a stream open: one for each port and subscription,
 /// and as many that died and were not cleaned up after yet.

@@ -43,8 +43,8 @@ impl Unfinished {
     }
 
     /// Removes what was begun a second ago and is not finished. Where nobody has
-    /// made a file since the last look, this is two system calls.
-    pub fn remove(&mut self) {
+    /// made a file since the last look, this is two system calls. What was removed.
+    pub fn remove(&mut self) -> Vec<PathBuf> {
         let prefix = self.world.prefix.as_bytes();
         // Only of this world: the default one's prefix begins those of others, too,
         // but what follows it is a hash.
@@ -55,22 +55,29 @@ impl Unfinished {
                 hash.ends_with(b"_") && hash[..HASH_DIGITS].iter().all(u8::is_ascii_hexdigit)
             })
         };
-        self.memory.remove(|path, file| file.len() == 0 && is_of_this_world(path));
-        self.services.remove(|_, file| is_unfinished_service(file));
+        let mut removed =
+            self.memory.remove(|path, file| file.len() == 0 && is_of_this_world(path));
+        removed.extend(self.services.remove(|_, file| is_unfinished_service(file)));
+        removed
     }
 
     /// Removes the descriptions of services that are not finished, however new they
     /// are. For a broker that starts: nobody else makes services in a private world.
-    pub fn remove_services(&self) {
-        if self.world.is_private() {
-            let found = self.services.find(&|_, file| is_unfinished_service(file));
-            found.into_iter().for_each(|(path, _)| _ = fs::remove_file(path));
+    /// What was removed.
+    pub fn remove_services(&self) -> Vec<PathBuf> {
+        if !self.world.is_private() {
+            return Vec::new();
         }
+        removed(self.services.find(&|_, file| is_unfinished_service(file)).into_iter())
     }
 }
 
 fn is_unfinished_service(file: &Metadata) -> bool {
     file.is_file() && file.permissions().mode() & 0o777 == UNFINISHED_MODE
+}
+
+fn removed(found: impl Iterator<Item = (PathBuf, Duration)>) -> Vec<PathBuf> {
+    found.filter_map(|(path, _)| fs::remove_file(&path).is_ok().then_some(path)).collect()
 }
 
 /// A folder in which files are made.
@@ -87,17 +94,16 @@ impl Folder {
         Self { path, nothing_since: None }
     }
 
-    fn remove(&mut self, is_unfinished: impl Fn(&Path, &Metadata) -> bool) {
+    fn remove(&mut self, is_unfinished: impl Fn(&Path, &Metadata) -> bool) -> Vec<PathBuf> {
         let changed = fs::metadata(&self.path).and_then(|folder| folder.modified()).ok();
         if changed.is_some() && changed == self.nothing_since {
-            return;
+            return Vec::new();
         }
         let is_certain = |at: &SystemTime| at.elapsed().is_ok_and(|since| since > TICK);
         let certain = changed.filter(is_certain);
         let found = self.find(&is_unfinished);
         self.nothing_since = certain.filter(|_| found.is_empty());
-        let old = found.into_iter().filter(|(_, age)| *age >= FINISHED_WITHIN);
-        old.for_each(|(path, _)| _ = fs::remove_file(path));
+        removed(found.into_iter().filter(|(_, age)| *age >= FINISHED_WITHIN))
     }
 
     /// The unfinished files, and how old they are.

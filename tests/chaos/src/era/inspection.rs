@@ -6,7 +6,7 @@ use uorb_core::Instance;
 use uorb_core::broker_side::{Node, Reply, Request, Role};
 use uorb_tests::instance;
 
-use super::{Era, HELD_MAX, HELD_ON_STREAM_MAX, RESTART_US, TICK, Totals, UNFINISHED_US};
+use super::{Era, HELD_MAX, HELD_ON_STREAM_MAX, RESTART_US, TICK, Totals};
 use crate::accounts::Accounts;
 use crate::actor::CLAIMED;
 use crate::bus::Process;
@@ -147,9 +147,6 @@ impl Era<'_> {
             self.fault(format!("counts are {counts:?}, not {held:?}"));
         }
         let mut holders = Vec::new();
-        // The streams' thread may be waiting for what iceoryx2 was making when
-        // somebody was killed.
-        let more_us = more_us + UNFINISHED_US;
         self.wait_shortly("no slot is held", more_us, |era| {
             era.keep_a_broker();
             holders = era.node().map(|node| node.slot_holders()).unwrap_or_default();
