@@ -281,6 +281,59 @@ fn start_takes_over_what_a_killed_broker_left() {
     assert!(!bus.system.dir().exists());
 }
 
+#[test]
+fn a_broker_is_replaced_while_it_runs_and_nobody_loses_anything() {
+    let mut bus = Bus::without_broker();
+    let first = bus.start_by_command();
+    let mut subscription = bus.subscribe::<Plain>();
+    let mut publication = bus.advertise::<Plain>();
+    publication.publish(&Plain { value: 1 }).unwrap();
+
+    let replaced = bus.uorb(&["start", "--replace"]);
+
+    let second = bus.running_broker().expect("another one runs");
+    assert_ne!(first, second);
+    assert!(!is_running(first));
+    assert_eq!(replaced.code, 0, "{}", replaced.words);
+    let (system, words) = (&bus.system, replaced.words);
+    assert_eq!(words, format!("uorb: broker started at {system}, pid {second}\n"));
+    assert_eq!(subscription.update(), Some(Plain { value: 1 }));
+    publication.publish(&Plain { value: 2 }).unwrap();
+    assert_eq!(subscription.update(), Some(Plain { value: 2 }));
+    eventually("everybody has re-joined", || {
+        let status = status(&bus);
+        let nodes: Vec<_> = status["nodes"].as_array().unwrap().iter().map(node).collect();
+        nodes == [("plain", 1, 1, 2)]
+    });
+    assert_eq!(subscription.lost(), 0);
+}
+
+#[test]
+fn a_broker_is_replaced_where_none_runs() {
+    let bus = Bus::without_broker();
+
+    assert_eq!(bus.uorb(&["start", "--replace"]).code, 0);
+
+    assert!(bus.running_broker().is_some());
+}
+
+#[test]
+fn a_broker_that_could_not_take_over_does_not_replace_one() {
+    let bus = Bus::without_broker();
+    let first = bus.start_by_command();
+    let lock = fs::read_to_string(bus.system.lock()).unwrap();
+    let other: Vec<_> = lock
+        .lines()
+        .map(|line| if line.starts_with("version ") { "version 999" } else { line })
+        .collect();
+    fs::write(bus.system.lock(), other.join("\n")).unwrap();
+
+    bus.uorb(&["start", "--replace"]).failed(&["version 999", "uorb stop"]);
+
+    assert_eq!(bus.running_broker(), Some(first));
+    fs::write(bus.system.lock(), lock).unwrap();
+}
+
 /// Topic, publishers, subscribers and messages so far.
 fn node(node: &Value) -> (&str, u64, u64, u64) {
     let count = |name: &str| node[name].as_u64().unwrap();

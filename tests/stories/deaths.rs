@@ -1,4 +1,5 @@
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout};
@@ -596,6 +597,29 @@ fn a_file_of_a_stream_that_nobody_finishes_stops_the_broker_for_a_while_only() {
     let mut stream = bus.stream::<Plain>();
 
     plain.publish(&Plain { value: 1 }).unwrap();
+    assert_eq!(stream.update(), Some(&Plain { value: 1 }));
+    bus.stop();
+}
+
+#[test]
+fn a_stream_that_a_broker_did_not_live_to_make_is_made_by_the_next() {
+    let mut bus = Bus::start();
+    let mut publication = bus.advertise::<Plain>();
+    drop(bus.stream::<Plain>());
+    let services = World::of(&bus.system).root.join("services");
+    let described: Vec<_> =
+        std::fs::read_dir(services).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert!(described.len() >= 2, "the stream, and its events");
+
+    // As if it were killed before the last step of each.
+    bus.kill_broker();
+    for path in described {
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600)).unwrap();
+    }
+    bus.start_broker();
+
+    let mut stream = bus.stream::<Plain>();
+    publication.publish(&Plain { value: 1 }).unwrap();
     assert_eq!(stream.update(), Some(&Plain { value: 1 }));
     bus.stop();
 }

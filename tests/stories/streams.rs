@@ -1,4 +1,5 @@
 use std::os::fd::AsFd;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout};
@@ -436,4 +437,54 @@ fn killed_publishers_and_followers_cost_nobody_a_message_and_leave_nothing() {
     eventually("all is cleaned up", || files().len() <= 4);
     eprintln!("{received} messages, {} kills, at most {most_files} files", kills());
     drop(node);
+}
+
+#[test]
+fn a_loan_is_read_and_written_while_newcomers_are_connected_to_its_port() {
+    let mut bus = Bus::start();
+    let mut image = bus.advertise::<Image>();
+    let mut first = bus.stream::<Image>();
+    let mut loan = image.loan().unwrap();
+    let done = AtomicBool::new(false);
+
+    // The session's thread uses the port for each of them.
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            for _ in 0..1_000 {
+                drop(bus.stream::<Image>());
+            }
+            done.store(true, Ordering::Relaxed);
+        });
+        while !done.load(Ordering::Relaxed) {
+            loan.pixels[0] = std::hint::black_box(loan.pixels[0].wrapping_add(1));
+        }
+    });
+
+    loan.pixels[0] = 7;
+    loan.publish().unwrap();
+    assert_eq!(first.update().map(|image| image.pixels[0]), Some(7));
+    // Nobody counts a port that is gone: its memory is given back.
+    drop((first, image));
+    bus.stop();
+}
+
+#[test]
+fn what_a_publisher_sent_before_it_went_is_received_by_one_who_looks_later() {
+    let mut bus = Bus::start();
+    let mut keeper = bus.advertise::<Plain>();
+    let mut stream = bus.stream::<Plain>();
+    keeper.publish(&Plain { value: 0 }).unwrap();
+    assert!(stream.update().is_some());
+
+    // More than the node keeps, and the follower has not seen their port.
+    let mut short = bus.advertise::<Plain>();
+    for value in 1..=100 {
+        short.publish(&Plain { value }).unwrap();
+    }
+    drop(short);
+
+    for value in 1..=100 {
+        assert_eq!(stream.update(), Some(&Plain { value }));
+    }
+    assert_eq!(stream.lost(), 0);
 }

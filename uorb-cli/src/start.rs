@@ -21,19 +21,26 @@ use crate::exit::say;
 
 /// Start the broker and return when it is ready.
 ///
-/// A second start says that it is running already, and succeeds.
+/// A second start says that it is running already, and succeeds. With --replace
+/// the broker that runs is replaced, modules go on and lose nothing: what an
+/// upgrade of uORB ends with.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     /// Become the broker instead of starting one: for a service manager
     #[arg(long)]
     foreground: bool,
+
+    /// Replace the broker that runs, if one does, by the one that is installed now
+    #[arg(long)]
+    replace: bool,
 }
 
 const EXAMPLES: &str = "\
 Examples:
   uorb start                            system 0
   uorb --system 1 start                 another one, beside it
+  uorb start --replace                  after an upgrade
   UORB_LOG=debug uorb start --foreground
 
 The broker is `uorbd`, looked for beside this program, then on PATH. It logs to
@@ -47,6 +54,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> anyhow::Result<()> {
         .with_context(|| format!("cannot find {}", system.base().display()))?;
     let mut broker = Command::new(&program);
     broker.arg("--dir").arg(base).args(["--system", &system.number().to_string()]);
+    if args.replace {
+        broker.arg("--replace");
+    }
     if args.foreground {
         let error = broker.arg("--foreground").exec();
         return Err(error).with_context(|| format!("cannot run {}", program.display()));

@@ -77,6 +77,8 @@ pub(crate) struct Link {
     member: Mutex<Option<Arc<Member>>>,
     /// Publications, whose ports are opened when somebody follows the stream.
     streamables: Mutex<HashMap<u32, Streamable>>,
+    /// Ports whose publications are gone, and which are needed for a while.
+    lingering: Mutex<Vec<ports::Lingering>>,
     /// [`FORKS`] when the link was made.
     forks: u32,
     ended: AtomicBool,
@@ -228,6 +230,7 @@ impl Link {
             world,
             member: Mutex::default(),
             streamables: Mutex::default(),
+            lingering: Mutex::default(),
             forks: FORKS.load(Ordering::Relaxed),
             ended: AtomicBool::new(false),
             quit,

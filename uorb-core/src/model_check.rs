@@ -1,9 +1,11 @@
 //! Ring and bell under loom's model checker, which runs these small programs
 //! in every order of their steps that a preemption bound allows.
 //!
-//! `scripts/loom` runs it, with LOOM_MAX_PREEMPTIONS=3: three times in a run a
-//! thread may be interrupted anywhere; what it does of itself is free. That is
-//! a bound, not a proof of all orders.
+//! One publisher beside one reader, or one sleeper, is checked exhaustively: in
+//! every order. For all else `scripts/loom` sets LOOM_MAX_PREEMPTIONS=3: three
+//! times in a run a thread may be interrupted anywhere; what it does of itself is
+//! free. Two publishers beside two readers or sleepers have a bound of their own,
+//! of two. A bound is not a proof of all orders.
 
 use std::mem::MaybeUninit;
 
@@ -100,6 +102,21 @@ impl Node {
     }
 }
 
+/// Every order, whatever the environment bounds.
+fn exhaustively(program: impl Fn() + Sync + Send + 'static) {
+    within(None, program);
+}
+
+/// Every order with so many preemptions at most.
+fn within(preemptions: Option<usize>, program: impl Fn() + Sync + Send + 'static) {
+    let mut model = loom::model::Builder::new();
+    model.preemption_bound = preemptions;
+    model.check(program);
+}
+
+/// What four threads allow within a minute.
+const PREEMPTIONS_OF_FOUR: Option<usize> = Some(2);
+
 #[test]
 fn a_reader_sees_whole_messages_in_order_while_two_publish() {
     loom::model(|| {
@@ -123,8 +140,39 @@ fn a_reader_sees_whole_messages_in_order_while_two_publish() {
 }
 
 #[test]
+fn two_readers_see_the_same_messages_while_two_publish() {
+    within(PREEMPTIONS_OF_FOUR, || {
+        let node = Node::new(1, 2);
+        let publishers: Vec<_> = (1..=2)
+            .map(|peer| {
+                let node = node.clone();
+                thread::spawn(move || node.commit(&mut Writer::new(peer, 0), peer.into()))
+            })
+            .collect();
+        let read = |node: &Node| {
+            let mut cursor = BASE;
+            let seen: Vec<_> =
+                (0..2).filter_map(|_| Some((node.take(&mut cursor)?.0, cursor))).collect();
+            seen
+        };
+        let reader = {
+            let node = node.clone();
+            thread::spawn(move || read(&node))
+        };
+        let ours = read(&node);
+        let theirs = reader.join().unwrap();
+        // A generation is one message, whoever asks.
+        for (value, generation) in ours {
+            assert!(theirs.iter().all(|(other, at)| *at != generation || *other == value));
+        }
+        publishers.into_iter().for_each(|publisher| _ = publisher.join().unwrap());
+        assert_eq!(node.ring().newest(BASE), BASE + 2);
+    });
+}
+
+#[test]
 fn a_reader_that_is_overtaken_by_a_whole_lap_copies_nothing_torn() {
-    loom::model(|| {
+    exhaustively(|| {
         let node = Node::new(1, 1);
         let mut writer = Writer::new(1, 0);
         // Four order words and five slots: the fifth publish from here on
@@ -171,7 +219,7 @@ fn a_dead_publisher_s_slot_is_given_back_while_another_publishes() {
 
 #[test]
 fn no_wake_is_lost_between_one_publisher_and_one_sleeper() {
-    loom::model(|| {
+    exhaustively(|| {
         let node = Node::new(1, 1);
         let publisher = {
             let node = node.clone();
@@ -217,6 +265,26 @@ fn no_wake_is_lost_between_one_publisher_and_two_sleepers() {
             .collect();
         node.publish(&mut Writer::new(1, 0), 1);
         sleepers.into_iter().for_each(|sleeper| sleeper.join().unwrap());
+    });
+}
+
+#[test]
+fn no_wake_is_lost_between_two_publishers_and_two_sleepers() {
+    within(PREEMPTIONS_OF_FOUR, || {
+        let node = Node::new(1, 2);
+        let publishers: Vec<_> = (1..=2)
+            .map(|peer| {
+                let node = node.clone();
+                thread::spawn(move || node.publish(&mut Writer::new(peer, 0), peer.into()))
+            })
+            .collect();
+        let sleeper = {
+            let node = node.clone();
+            thread::spawn(move || node.sleep(BASE + 1))
+        };
+        node.sleep(BASE + 1);
+        sleeper.join().unwrap();
+        publishers.into_iter().for_each(|publisher| _ = publisher.join().unwrap());
     });
 }
 

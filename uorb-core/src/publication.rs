@@ -21,7 +21,7 @@ use crate::node::Node;
 use crate::protocol::{Advertise, Claim};
 use crate::ring::Writer;
 use crate::session::Session;
-use crate::stream::port::{Loaned, Port, PortCell};
+use crate::stream::port::{Loaned, Port, PortCell, Streamable};
 use crate::topic::{Instance, Metadata, Priority, QueueLength, Topic};
 
 /// How to advertise, where the usual way does not do.
@@ -281,8 +281,11 @@ impl Drop for RawPublication {
             std::mem::forget(self.port.clone());
             return;
         }
+        // Before the broker answers: the session's thread looks after it then.
+        let (cell, node) = (self.port.clone(), self.node.clone());
+        let port = Streamable { cell, node, publisher: (self.session.peer(), self.handle) };
+        self.session.linger(port, self.writer.newest());
         self.session.unadvertise(self.handle);
-        self.node.leave_port(self.session.peer(), self.handle);
         fail_point!("unadvertise.done");
     }
 }

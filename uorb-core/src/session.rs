@@ -5,6 +5,7 @@
 
 use std::sync::{Arc, PoisonError, Weak};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use crate::error::Error;
 use crate::layout::Layout;
@@ -192,6 +193,11 @@ impl Session {
         Ok(cell)
     }
 
+    /// Keeps the port of a publication that is about to go, as long as it is needed.
+    pub(crate) fn linger(&self, port: Streamable, last: u64) {
+        self.inner.link.linger(port, last);
+    }
+
     /// Asks for a place among the streams of a node that is subscribed already.
     pub(crate) fn stream(&self, subscribe: Subscribe) -> Result<u8, Error> {
         match self.ask(Request::Subscribe(subscribe))? {
@@ -310,6 +316,12 @@ impl Session {
     }
 }
 
+/// How long the end of a session waits until what was sent last is received.
+const LINGER: Duration = Duration::from_millis(100);
+
+/// How often it looks: nobody tells a publisher that something was received.
+const LINGER_LOOK: Duration = Duration::from_millis(1);
+
 impl Drop for Inner {
     fn drop(&mut self) {
         // In the child of a fork the thread does not exist, and the event that
@@ -317,6 +329,11 @@ impl Drop for Inner {
         if self.link.is_forked() {
             self.link.forget_member();
             return;
+        }
+        // What this process has sent last is to be received, by all who look.
+        let deadline = Instant::now() + LINGER;
+        while self.link.has_lingering_ports() && Instant::now() < deadline {
+            std::thread::sleep(LINGER_LOOK);
         }
         self.link.quit();
         if let Some(thread) = self.thread.take() {

@@ -59,9 +59,10 @@ pub struct UorbHeader {
 /// the broker's own.
 pub const STREAMS_MAX: usize = 16;
 
-/// Publishers that iceoryx2 lets in: ours, and a few foreign ones, so that they
-/// can be seen and named.
-pub(crate) const PORTS_MAX: usize = PUBLISHERS_MAX as usize + 4;
+/// Publishers that iceoryx2 lets in: ours, as many whose publications are gone and
+/// whose messages are not received yet, and a few foreign ones, so that they can be
+/// seen and named.
+pub(crate) const PORTS_MAX: usize = 2 * PUBLISHERS_MAX as usize + 4;
 
 /// Processes that may have a stream open: one for each port and subscription,
 /// and as many that died and were not cleaned up after yet.
@@ -171,17 +172,17 @@ pub fn open(
             .enable_safe_overflow(true)
     };
     // One that a foreign program kept over a restart of the broker is opened.
-    let stream = match builder().open_with_attributes(&verifier) {
-        Ok(stream) => stream,
+    let stream = patiently(make, || match builder().open_with_attributes(&verifier) {
+        Ok(stream) => Ok(stream),
         Err(not_opened) if make => {
             builder().create_with_attributes(&specifier).map_err(|why| match why {
                 // A foreign program has kept one of another layout.
                 PublishSubscribeCreateError::AlreadyExists => failed("open", &not_opened),
                 why => failed("make", &why),
-            })?
+            })
         }
-        Err(why) => return Err(failed("open", &why)),
-    };
+        Err(why) => Err(failed("open", &why)),
+    })?;
     let events = || {
         member
             .node
@@ -191,12 +192,20 @@ pub fn open(
             .max_notifiers(PORTS_MAX)
             .max_nodes(MEMBERS_MAX)
     };
-    let events = match events().open() {
-        Ok(events) => events,
-        Err(_) if make => events().create().map_err(|why| failed("make the events of", &why))?,
-        Err(why) => return Err(failed("open the events of", &why)),
-    };
+    let events = patiently(make, || match events().open() {
+        Ok(events) => Ok(events),
+        Err(_) if make => events().create().map_err(|why| failed("make the events of", &why)),
+        Err(why) => Err(failed("open the events of", &why)),
+    })?;
     Ok((stream, events))
+}
+
+/// Whoever makes a stream tries again: what one who was killed has begun is in the
+/// way until `Unfinished` removes it, and each try waits half a second for it.
+fn patiently<T>(make: bool, open: impl Fn() -> Result<T, String>) -> Result<T, String> {
+    const TRIES: usize = 4;
+    let tries = if make { TRIES } else { 1 };
+    (1..tries).find_map(|_| open().ok()).map_or_else(&open, Ok)
 }
 
 /// The memory of a stream's port: for ordinary messages all that its slots take,

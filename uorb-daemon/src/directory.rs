@@ -6,6 +6,8 @@
 //! a broker that was killed comes back to its nodes, and a machine that was
 //! switched off to an empty directory.
 
+mod replace;
+
 use std::fs::{self, DirBuilder, File};
 use std::io::{self, Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
@@ -16,6 +18,8 @@ use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
 use uorb_core::broker_side::{Ending, NODE_FILE_VERSION, Node, Role, boot_id};
 use uorb_core::{Error, System, World, fail_point};
+
+pub(crate) use replace::end_the_running;
 
 /// What a broker that starts has found.
 pub(crate) enum Found {

@@ -32,6 +32,7 @@ const EXAMPLES: &str = "\
 Examples:
   uorb start                             what people use: returns when it is ready
   uorbd --foreground                     for a service manager
+  uorbd --foreground --replace           the same, after an upgrade
   uorbd --dir /run/uorb --system 1       a system of its own elsewhere
   UORB_LOG=debug uorbd --foreground      says more
 
@@ -49,6 +50,10 @@ struct Args {
     /// The number of the system [default: $UORB_SYSTEM, else 0]
     #[arg(long, value_name = "N")]
     system: Option<u32>,
+
+    /// Take the place of the broker that runs, for an upgrade: nobody loses anything
+    #[arg(long)]
+    replace: bool,
 
     /// Log to stderr instead of broker.log
     #[arg(long)]
@@ -106,6 +111,9 @@ fn run(args: &Args, tell: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
 
 /// Makes the system ours, and a broker in it. None if another one runs it.
 fn begin(args: &Args, system: &System) -> anyhow::Result<Option<Broker>> {
+    if args.replace {
+        directory::end_the_running(system)?;
+    }
     let Some((lock, system_id, living)) = take_system(system)? else { return Ok(None) };
     // Held while we clean up after a failure, too.
     let lock = Arc::new(lock);

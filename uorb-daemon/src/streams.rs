@@ -9,6 +9,7 @@
 //! publisher goes, its newest message is still there, and is kept in the node.
 
 use std::collections::{BTreeMap, HashSet};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{self, JoinHandle};
@@ -77,6 +78,7 @@ impl Streams {
         let event = Arc::new(EventFd::from_flags(flags).context("cannot make an eventfd")?);
         let (sweeps, until) = channel();
         let unfinished = Unfinished::of(world.clone());
+        tell_of(&unfinished.remove_services());
         let sweeper = thread::Builder::new()
             .name("sweeper".into())
             .spawn(move || sweep(unfinished, &until))
@@ -125,11 +127,18 @@ impl Drop for Streams {
 /// iceoryx2 when it meets such a file, and so may every process of the system.
 fn sweep(mut unfinished: Unfinished, until: &Receiver<()>) {
     loop {
-        unfinished.remove();
+        tell_of(&unfinished.remove());
         match until.recv_timeout(UNFINISHED_INTERVAL) {
             Err(RecvTimeoutError::Timeout) => {}
             Ok(()) | Err(RecvTimeoutError::Disconnected) => return,
         }
+    }
+}
+
+/// Whoever waited for one of them asks why.
+fn tell_of(removed: &[PathBuf]) {
+    for path in removed {
+        warn!("{} was begun by somebody who was killed: it is removed", path.display());
     }
 }
 

@@ -17,6 +17,7 @@ mod topic_list;
 
 use std::collections::BTreeMap;
 
+use crate::comment::harmless;
 use crate::fault::Fault;
 use crate::layout::Layout;
 use crate::message::{Message, Messages};
@@ -173,11 +174,7 @@ fn mark(message: &Message) -> String {
 
 /// The text so that it can stand in a comment and that no compiler warns of it.
 fn in_comment(text: &str) -> String {
-    let harmless = |letter: &char| {
-        // Those that turn the direction of writing are an attack in sources.
-        !letter.is_control() && !matches!(letter, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
-    };
-    let text: String = text.chars().filter(harmless).collect();
+    let text = harmless(text);
     text.replace("*/", "* /").replace("/*", "/ *").replace("??/", "?? /")
 }
 

@@ -4,6 +4,8 @@
 //! `[@range 0, 1]`, `[@frame NED]`, `[@invalid NaN]`. They are taken out of the
 //! words, so that each is said once, and the words go into the documentation
 //! of the generated code, where no character of theirs may turn into markup.
+//! Letters that no source may have (a bare carriage return, an escape, what turns
+//! the direction of writing) are left out before anything else is looked at.
 //!
 //! A command's constant (`VEHICLE_CMD_..`) lists its parameters behind its
 //! words, each after a `|`. Tags there are the parameters', and stay with them.
@@ -26,8 +28,8 @@ impl Comment {
     /// Adds a line, given without its `#`. Rulers (`#----`) are dropped, and
     /// an empty line separates paragraphs.
     pub(crate) fn add(&mut self, line: &str) {
-        let line = line.trim_start_matches('#').trim();
-        let words = self.take_tags(line);
+        let line = harmless(line);
+        let words = self.take_tags(line.trim_start_matches('#').trim());
         let ruler = words.chars().all(|letter| "-=*~_#/".contains(letter));
         if !ruler {
             self.lines.push(words);
@@ -162,6 +164,17 @@ impl Comment {
     }
 }
 
+/// The text without letters that rustc refuses in a doc comment, or that make a
+/// source look like what it is not.
+pub(crate) fn harmless(text: &str) -> String {
+    let separated = text.chars().map(|letter| if letter.is_whitespace() { ' ' } else { letter });
+    let harmful = |letter: &char| {
+        letter.is_control()
+            || matches!(letter, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
+    };
+    separated.filter(|letter| !harmful(letter)).collect()
+}
+
 /// `m/s^2`, `1e-7 deg`, `%`, `-`; but not `0..360`, `-1,1`, a type or a remark.
 fn is_unit(text: &str) -> bool {
     let unit_letter = |letter: char| letter.is_alphanumeric() || " /^*%°.-()".contains(letter);
@@ -233,6 +246,14 @@ mod tests {
             comment.doc_lines(),
             ["Acceleration in the frame", "", "Unit: `m/s^2`. Range: `0, 1`. Frame: `NED`."]
         );
+    }
+
+    #[test]
+    fn letters_that_no_source_may_have_are_left_out_of_words_and_tags() {
+        let comment =
+            comment(&["\u{feff}a\u{202e}b\u{2028}c\0 [m\u{b}/s] [@range 0\r1] \u{1b}d\u{85}"]);
+        assert_eq!(comment.doc_lines(), ["ab c d", "", "Unit: `m /s`. Range: `0 1`."]);
+        assert_eq!(comment.plain_lines(), ["[m /s] ab c d", "Range: 0 1."]);
     }
 
     #[test]

@@ -295,3 +295,8 @@ fn a_folder_that_is_not_there_or_empty_is_told_with_its_path() {
     let error = Config::new().folder("src").generate().unwrap_err();
     assert_eq!(error.to_string(), "src: there is no .msg file in this folder");
 }
+
+#[test]
+fn a_topic_named_self_would_be_the_rust_type_self() {
+    check("# TOPICS test self", &["1: topic `self` would be the Rust type `Self`, .."]);
+}

@@ -166,7 +166,8 @@ impl Actor {
             return false;
         }
         self.cell.set(Word::PausedIn, round + 1);
-        while self.ledger.phase().1 != Phase::Run {
+        // The next round may come and pause while this process has no core.
+        while matches!(self.ledger.phase(), (now, phase) if now == round && phase != Phase::Run) {
             std::thread::sleep(PAUSE);
         }
         true

@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
 use nix::sys::signal::{Signal, kill};
@@ -24,6 +24,9 @@ pub(crate) fn signal(pid: u32, signal: Signal) {
     let _ = kill(Pid::from_raw(pid as i32), signal);
 }
 
+/// The broker that can die between any two steps.
+const OF_CHAOS: &str = "uorbd-with-fail-points";
+
 /// The broker of this build, in and out of life.
 #[derive(Debug)]
 pub(crate) struct Broker {
@@ -39,7 +42,7 @@ pub(crate) struct Broker {
 
 impl Broker {
     pub(crate) fn new() -> Self {
-        let program = program("uorbd-with-fail-points");
+        let program = program(OF_CHAOS);
         Self {
             child: None,
             down_us: vec![(now_us(), u64::MAX)],
@@ -51,20 +54,12 @@ impl Broker {
 
     /// Starts one. False: it died while it started.
     pub(crate) fn start(&mut self, bus: &Bus, fate: Option<&Fate>) -> anyhow::Result<bool> {
-        let mut command = Command::new(&self.program);
-        command.args(["--ready-fd", "1", "--dir"]).arg(bus.system.base());
+        let mut command = command(&self.program, bus);
         if let Some(fate) = fate {
             command.env(fate.variable, &fate.place);
         }
-        // What it says is shown where something is wrong.
-        command.env("UORB_LOG", "debug");
-        let mut child =
-            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
-        let mut line = String::new();
-        if let Some(stdout) = &mut child.stdout {
-            BufReader::new(stdout).read_line(&mut line)?;
-        }
-        match line.trim_end() {
+        let (mut child, word) = spawn(command)?;
+        match word.trim_end() {
             "ready" => {
                 self.fate = fate.map(|fate| fate.place.clone());
                 self.child = Some(child);
@@ -80,6 +75,24 @@ impl Broker {
             }
             other => anyhow::bail!("the broker says {other:?} when it starts"),
         }
+    }
+
+    /// The other build takes the place of the one that runs, as in an upgrade.
+    pub(crate) fn upgrade(&mut self, bus: &Bus) -> anyhow::Result<()> {
+        let other = match self.program.ends_with(OF_CHAOS) {
+            true => "uorbd",
+            false => OF_CHAOS,
+        };
+        self.program = program(other);
+        let mut command = command(&self.program, bus);
+        command.arg("--replace");
+        let down_us = now_us();
+        let (child, word) = spawn(command)?;
+        anyhow::ensure!(word.trim_end() == "ready", "the new broker says {word:?}");
+        self.down_us.push((down_us, now_us()));
+        let before = self.child.replace(child);
+        before.map(|mut before| before.wait()).transpose()?;
+        Ok(())
     }
 
     /// When the one that runs was ready.
@@ -127,6 +140,25 @@ impl Broker {
         signal(child.id(), Signal::SIGTERM);
         Ok(child.wait()?)
     }
+}
+
+fn command(program: &Path, bus: &Bus) -> Command {
+    let mut command = Command::new(program);
+    command.args(["--ready-fd", "1", "--dir"]).arg(bus.system.base());
+    // What it says is shown where something is wrong.
+    command.env("UORB_LOG", "debug");
+    command
+}
+
+/// A broker, and its word: whether it is ready.
+fn spawn(mut command: Command) -> anyhow::Result<(Child, String)> {
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
+    let mut line = String::new();
+    if let Some(stdout) = &mut child.stdout {
+        BufReader::new(stdout).read_line(&mut line)?;
+    }
+    Ok((child, line))
 }
 
 impl Drop for Broker {

@@ -26,15 +26,23 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// Nobody waits longer for anything, and what the machine adds.
 pub(crate) const LIMIT_US: u64 = 100_000;
 
-/// How long the broker waits for what somebody who was killed may have left
-/// unfinished in the memory of streams.
-pub(crate) const UNFINISHED_US: u64 = 1_010_000;
+/// How long whoever uses streams may wait for a file that somebody who was killed
+/// has left unfinished, until the broker removes it.
+const UNFINISHED_US: u64 = 1_300_000;
 
 /// How long it takes at most until everybody has re-joined a new broker.
 const RESTART_US: u64 = 400_000;
 
 /// Processes beyond which no newcomer is kept.
 const CROWD: usize = 12;
+
+/// Descriptors, and mappings of shared memory, that a process has at most at the
+/// end of a bus. After some ten brokers, what it kept of each would be more.
+const HELD_MAX: (usize, usize) = (16, 6);
+
+/// The same for one with an end of a stream, which is connected with all others, and
+/// may have ports whose publications are gone.
+const HELD_ON_STREAM_MAX: (usize, usize) = (72, 44);
 
 const TICK: Duration = Duration::from_micros(200);
 
@@ -66,6 +74,10 @@ pub(crate) struct Era<'n> {
     round: u64,
     /// The generation before the round.
     base: u32,
+    /// How often there was no broker before the round.
+    downs: usize,
+    /// How often the broker had removed something unfinished before the round.
+    removals: usize,
     noise: &'n Noise,
     world: World,
     faults: Vec<String>,
@@ -99,6 +111,8 @@ impl<'n> Era<'n> {
             topic,
             round: first_round,
             base: 0,
+            downs: 0,
+            removals: 0,
             noise,
             faults: Vec::new(),
         };
@@ -164,9 +178,7 @@ impl<'n> Era<'n> {
         // A broker that was to die somewhere may have done it meanwhile.
         let up = self.broker.up_us();
         let more_us = if up > from { more_us.max(RESTART_US) } else { more_us };
-        // Whoever uses a large topic needs its stream.
-        let needs_stream = shared_topic::is_large(self.topic);
-        let more_us = more_us + if needs_stream { UNFINISHED_US } else { 0 };
+        let more_us = more_us + self.unfinished_us();
         let from = from.max(up);
         let took_us = now_us() - from;
         let noise_us = self.noise.between(from, now_us());
@@ -175,12 +187,25 @@ impl<'n> Era<'n> {
         }
     }
 
+    /// How often the broker has removed what somebody did not live to finish.
+    fn removals(&self) -> usize {
+        let log = std::fs::read_to_string(self.bus.system.log()).unwrap_or_default();
+        log.matches("was begun by somebody who was killed").count()
+    }
+
+    /// How much longer things may take in this round, because of such a file.
+    fn unfinished_us(&self) -> u64 {
+        if self.removals() > self.removals { UNFINISHED_US } else { 0 }
+    }
+
     /// One round. What was wrong in it.
     pub(crate) fn round(&mut self, seed: u64, totals: &mut Totals) -> anyhow::Result<Vec<String>> {
         self.recruit()?;
         let plan = Plan::draw(&mut Random::of_round(seed, self.round));
         let began_us = now_us();
         self.stopped.clear();
+        self.downs = self.broker.down_us.len();
+        self.removals = self.removals();
         if let Some(fate) = &plan.burial {
             self.broker.kill();
             while !self.broker.start(&self.bus, Some(fate))? {}
@@ -199,7 +224,12 @@ impl<'n> Era<'n> {
         let restarted = self.end_of_the_violence(&plan, totals)?;
         self.settle(restarted);
         self.count(totals);
-        let judge = Judge { noise: self.noise, stopped: &self.stopped, down: &self.broker.down_us };
+        let judge = Judge {
+            noise: self.noise,
+            stopped: &self.stopped,
+            down: &self.broker.down_us,
+            unfinished_us: self.unfinished_us(),
+        };
         let verdicts: Vec<String> =
             self.processes.iter().flat_map(|process| judge.lates(process, began_us)).collect();
         verdicts.into_iter().for_each(|verdict| self.fault(verdict));
@@ -457,6 +487,7 @@ impl<'n> Era<'n> {
             let words = status.words;
             self.fault(format!("uorb status says {peers:?} processes, not {living}: {words}"));
         }
+        self.look_at_what_survivors_hold();
         self.processes.clear();
         let ours = BTreeSet::from([std::process::id()]);
         self.wait("the broker knows that all are gone", |era| era.connected() == ours);

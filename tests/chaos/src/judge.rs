@@ -9,16 +9,15 @@
 use uorb_core::now_us;
 
 use crate::bus::Process;
-use crate::era::{LIMIT_US, UNFINISHED_US};
+use crate::era::LIMIT_US;
 use crate::ledger::{Late, LateWhat};
 use crate::noise::Noise;
 
 /// How long sessions take at most to find a new broker.
 const REJOIN_US: u64 = 300_000;
 
-/// How long a new stream waits for publishers that do not open their ports, and
-/// the broker for what somebody who was killed has left unfinished.
-const STREAM_US: u64 = 100_000 + UNFINISHED_US;
+/// How long a new stream waits for publishers that do not open their ports.
+const STREAM_US: u64 = 100_000;
 
 /// When somebody was stopped.
 #[derive(Debug)]
@@ -44,6 +43,8 @@ pub(crate) struct Judge<'e> {
     pub(crate) noise: &'e Noise,
     pub(crate) stopped: &'e [Stopped],
     pub(crate) down: &'e [(u64, u64)],
+    /// How long everybody may have waited for what one who was killed has begun.
+    pub(crate) unfinished_us: u64,
 }
 
 impl Judge<'_> {
@@ -85,7 +86,7 @@ impl Judge<'_> {
         }
         let noise_us = self.noise.between(from, to_us);
         let took_us = to_us.saturating_sub(from);
-        let allowed_us = LIMIT_US + more_us + noise_us + off_cpu_us;
+        let allowed_us = LIMIT_US + more_us + self.unfinished_us + noise_us + off_cpu_us;
         (took_us > allowed_us).then(|| {
             format!("{what:?} took {took_us} us (noise {noise_us}, without a core {off_cpu_us})")
         })

@@ -25,6 +25,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
+use uorb_core::fail_points::FAIL_POINTS;
 use uorb_core::now_us;
 
 use crate::era::{Era, Totals};
@@ -167,5 +168,9 @@ fn rounds(seed: u64, first: u64, rounds: u64) -> anyhow::Result<usize> {
         totals.slowest_us,
         totals.noise_us,
     );
+    let unreached: Vec<_> = FAIL_POINTS.iter().filter(|name| !places.contains(**name)).collect();
+    if !unreached.is_empty() {
+        println!("nobody died at {unreached:?}");
+    }
     Ok(found)
 }

@@ -1,5 +1,6 @@
 //! The broker is killed and started again, over and over, under load: nothing is
-//! lost at a queue of 16, and every process re-joins.
+//! lost at a queue of 16, and every process re-joins. Every other time it is
+//! replaced by another build, as in an upgrade.
 //!
 //! Publishers wait for the slowest subscription, in the ledger, so that nobody
 //! may lose anything by being slow. Whatever is lost all the same is a fault.
@@ -110,12 +111,16 @@ pub(crate) fn restart(times: u64) -> anyhow::Result<Vec<String>> {
     });
     ledger.cell(0).set(Word::PausedIn, 1);
     let (mut slowest_us, mut between) = (0, 0);
-    for _ in 0..times {
-        broker.kill();
-        let without = copied();
-        // It goes on without a broker.
-        wait(&mut faults, "messages flow without a broker", || copied() > without + 20);
-        broker.start(&bus, None)?;
+    for time in 0..times {
+        let before = copied();
+        if time % 2 == 0 {
+            broker.kill();
+            // It goes on without a broker.
+            wait(&mut faults, "messages flow without a broker", || copied() > before + 20);
+            broker.start(&bus, None)?;
+        } else {
+            broker.upgrade(&bus)?;
+        }
         let started_us = now_us();
         wait(&mut faults, "all have re-joined", || match keeper.ask(Request::Peers) {
             Ok(Reply::Peers(peers)) => {
@@ -124,7 +129,7 @@ pub(crate) fn restart(times: u64) -> anyhow::Result<Vec<String>> {
             _ => false,
         });
         slowest_us = slowest_us.max(now_us() - started_us);
-        between += copied() - without;
+        between += copied() - before;
         if !faults.is_empty() {
             break;
         }
@@ -140,7 +145,7 @@ pub(crate) fn restart(times: u64) -> anyhow::Result<Vec<String>> {
         }
     }
     println!(
-        "{times} restarts of the broker in {:.1} s: {} messages to each of three, {between} of \
+        "{times} restarts of the broker, every other one an upgrade, in {:.1} s: {} messages to each of three, {between} of \
          them between a kill and the last re-joining, which took {slowest_us} us at most; {} \
          faults",
         began.elapsed().as_secs_f64(),

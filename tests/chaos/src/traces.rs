@@ -12,6 +12,13 @@ impl Traces {
         names.filter(|name| name.starts_with(prefix)).collect()
     }
 
+    /// How many descriptors a process has, and mappings of shared memory.
+    pub(crate) fn held_by(pid: u32) -> (usize, usize) {
+        let open = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().count();
+        let maps = fs::read_to_string(format!("/proc/{pid}/maps")).unwrap_or_default();
+        (open, maps.lines().filter(|line| line.contains("/dev/shm/")).count())
+    }
+
     /// What a process has open or mapped that is a removed file, or belongs to a
     /// process that has died.
     pub(crate) fn of_the_dead(pid: u32) -> Vec<String> {

@@ -1,6 +1,8 @@
 //! What a session has to do with streams: the process's membership of iceoryx2,
 //! which it gets when it needs it, and the ports of its publications, which the
-//! thread opens when the broker says that somebody follows.
+//! thread opens when the broker says that somebody follows. A port outlives its
+//! publication until all who follow have received what was sent there, or for a
+//! second: what they have not yet looked at goes with it.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -11,12 +13,66 @@ use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
 use super::Link;
 use super::joining::{process_name, write_lock};
+use crate::clock::now_us;
 use crate::error::Error;
 use crate::protocol::Request;
 use crate::stream::Member;
 use crate::stream::port::Streamable;
 
+/// How long a port waits for those who follow, when its publication is gone.
+const LINGER_US: u64 = 1_000_000;
+
+/// How many such ports a process has: they take places from other publishers.
+const LINGERING_MAX: usize = 4;
+
+/// A port whose publication is gone.
+#[derive(Debug)]
+pub(super) struct Lingering {
+    port: Streamable,
+    /// The last generation that may have been sent there.
+    last: u64,
+    until_us: u64,
+}
+
+impl Lingering {
+    fn is_over(&self) -> bool {
+        self.port.node.has_received(self.last) || now_us() > self.until_us
+    }
+}
+
+impl Drop for Lingering {
+    fn drop(&mut self) {
+        let (peer, handle) = self.port.publisher;
+        self.port.node.leave_port(peer, handle);
+    }
+}
+
 impl Link {
+    /// Takes the port of a publication that is about to go.
+    pub(crate) fn linger(&self, port: Streamable, last: u64) {
+        let is_open = port.cell.get().is_some();
+        let until_us = if is_open { now_us() + LINGER_US } else { 0 };
+        let lingering = Lingering { port, last, until_us };
+        if !lingering.is_over() {
+            let mut all = self.lingering();
+            if all.len() == LINGERING_MAX {
+                all.remove(0);
+            }
+            all.push(lingering);
+        }
+    }
+
+    /// Gives up the ports that nobody needs any more. Whether there are others.
+    pub(crate) fn has_lingering_ports(&self) -> bool {
+        let mut all = self.lingering();
+        all.retain(|lingering| !lingering.is_over());
+        !all.is_empty()
+    }
+
+    fn lingering(&self) -> MutexGuard<'_, Vec<Lingering>> {
+        self.lingering.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// This process as a member of the world of the system's streams.
     pub(crate) fn member(&self) -> Result<Arc<Member>, Error> {
         let mut member = self.member.lock().unwrap_or_else(PoisonError::into_inner);

@@ -16,6 +16,10 @@ use crate::error::Error;
 use crate::protocol::{FromBroker, Refusal, Rejoin, Reply, Request, ToBroker, decode, encode};
 use crate::transport::{connect_to_broker, receive_packet, send_packet};
 
+/// How often the thread looks whether ports of publications that are gone are
+/// still needed.
+const LINGERING_LOOK_MS: u8 = 5;
+
 impl Link {
     /// Listens to the broker, and finds the next one, until the session or the
     /// system is over.
@@ -36,8 +40,14 @@ impl Link {
                 PollFd::new(socket.as_fd(), PollFlags::POLLIN),
                 PollFd::new(self.quit.as_fd(), PollFlags::POLLIN),
             ];
-            match poll(&mut ready, PollTimeout::NONE) {
-                Err(Errno::EINTR) => continue,
+            // Whoever leaves a port here is answered by the broker, and so the
+            // thread hears of it.
+            let timeout = match self.has_lingering_ports() {
+                true => PollTimeout::from(LINGERING_LOOK_MS),
+                false => PollTimeout::NONE,
+            };
+            match poll(&mut ready, timeout) {
+                Ok(0) | Err(Errno::EINTR) => continue,
                 Err(_) => return false,
                 Ok(_) => {}
             }

@@ -152,6 +152,14 @@ impl Node {
         self.received(index).store(generation, Ordering::Release);
     }
 
+    /// Whether all who follow the stream have received this message.
+    pub(crate) fn has_received(&self, generation: u64) -> bool {
+        let mut entries = self.stream_entries().into_iter().enumerate();
+        !entries.any(|(index, entry)| {
+            entry.is_some() && self.received(index).load(Ordering::Acquire) < generation
+        })
+    }
+
     /// Begins to tell how far a stream subscription has come.
     pub(crate) fn begin_stream(&self, index: usize, generation: u64) {
         self.stream_word(index, 1).store(0, Ordering::Relaxed);

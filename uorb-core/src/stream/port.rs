@@ -6,6 +6,7 @@
 //! sends.
 
 use std::mem::ManuallyDrop;
+use std::ptr::NonNull;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use iceoryx2::port::notifier::Notifier;
@@ -184,8 +185,9 @@ impl Port {
         }
         // SAFETY: the memory is a file's, which the kernel has filled with zeros
         // before anybody wrote there. Bytes have no invalid values.
-        let sample = unsafe { sample.assume_init() };
-        Ok(Loaned { sample: ManuallyDrop::new(sample) })
+        let mut sample = unsafe { sample.assume_init() };
+        let bytes = NonNull::from(sample.payload_mut());
+        Ok(Loaned { sample: ManuallyDrop::new(sample), bytes })
     }
 
     /// Hands a message, which is committed to the node, to everybody who follows
@@ -227,6 +229,9 @@ impl Port {
 #[derive(Debug)]
 pub(crate) struct Loaned {
     sample: ManuallyDrop<SampleMut<Ipc, [u8], UorbHeader>>,
+    /// The message in it. To ask the sample would count references to the port,
+    /// and nobody holds its lock here.
+    bytes: NonNull<[u8]>,
 }
 
 // SAFETY: what it shares with its port is touched by `send` and `give_back` only,
@@ -237,11 +242,14 @@ unsafe impl Sync for Loaned {}
 
 impl Loaned {
     pub(crate) fn bytes(&self) -> &[u8] {
-        self.sample.payload()
+        // SAFETY: the sample keeps the memory mapped, and nobody else has it: it is
+        // given to another only when this one was sent or given back.
+        unsafe { self.bytes.as_ref() }
     }
 
     pub(crate) fn bytes_mut(&mut self) -> &mut [u8] {
-        self.sample.payload_mut()
+        // SAFETY: as above, and this reference is exclusive.
+        unsafe { self.bytes.as_mut() }
     }
 }
 

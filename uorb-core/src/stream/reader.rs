@@ -11,6 +11,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::mem::MaybeUninit;
+use std::ptr::NonNull;
 
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::subscriber::Subscriber;
@@ -71,7 +72,12 @@ impl fmt::Debug for Reader {
 /// The message that was found last.
 enum Current {
     None,
-    Borrowed(Message),
+    /// With the bytes in it: to ask it for them would count references to the
+    /// subscriber, which one thread at a time may do.
+    Borrowed {
+        _sample: Message,
+        bytes: NonNull<[u8]>,
+    },
     Copied(Vec<u8>),
 }
 
@@ -141,7 +147,9 @@ impl Reader {
     pub(crate) fn current(&self) -> Option<&[u8]> {
         match &self.current {
             Current::None => None,
-            Current::Borrowed(sample) => Some(sample.payload()),
+            // SAFETY: the sample keeps the memory mapped, and its publisher writes there
+            // again only after it is given back.
+            Current::Borrowed { bytes, .. } => Some(unsafe { bytes.as_ref() }),
             Current::Copied(bytes) => Some(bytes),
         }
     }
@@ -372,7 +380,8 @@ impl Reader {
     #[inline]
     fn borrowed(&mut self, sample: Message) -> Stamp {
         let header = *sample.user_header();
-        self.current = Current::Borrowed(sample);
+        let bytes = NonNull::from(sample.payload());
+        self.current = Current::Borrowed { _sample: sample, bytes };
         Stamp { publish_time_us: header.publish_time_us, publisher: header.publisher.into() }
     }
 

@@ -154,7 +154,9 @@ pub struct DockStatus {
     ///
     /// Unit: `us`.
     pub timestamp: u64,
-    /// `float64 charged`
+    /// letters of no source: turned, \[1mbold, marked parted
+    ///
+    /// Range: `0 1`.
     pub charged: f64,
     /// opening of the arms
     /// while they move

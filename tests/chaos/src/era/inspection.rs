@@ -6,12 +6,13 @@ use uorb_core::Instance;
 use uorb_core::broker_side::{Node, Reply, Request, Role};
 use uorb_tests::instance;
 
-use super::{Era, RESTART_US, TICK, Totals, UNFINISHED_US};
+use super::{Era, HELD_MAX, HELD_ON_STREAM_MAX, RESTART_US, TICK, Totals};
 use crate::accounts::Accounts;
 use crate::actor::CLAIMED;
 use crate::bus::Process;
 use crate::ledger::Word;
 use crate::shared_topic::{self, is_large, is_pressed};
+use crate::traces::Traces;
 
 impl Era<'_> {
     fn node(&self) -> Option<Node> {
@@ -32,6 +33,7 @@ impl Era<'_> {
         let mut accounts = Accounts::since(base);
         let killed = self.killed_publishers();
         let may_be_lost = is_large(self.topic) && killed > 0;
+        let has_no_keeper = may_be_lost && self.broker.down_us.len() > self.downs;
         for process in self.processes.iter_mut().filter(|process| process.kind == "publisher") {
             let lives = process.lives();
             let (begun, done) = (process.cell.get(Word::Begun), process.cell.get(Word::Done));
@@ -81,10 +83,10 @@ impl Era<'_> {
             let last = keeper.copy(&mut bytes).then(|| shared_topic::read(&bytes));
             match last.flatten() {
                 // It was its publisher's and the broker's, and both have died.
-                None if may_be_lost => {}
+                None if has_no_keeper => {}
                 Some(last) if last.is_whole() => {
                     let message = (last.sender, last.count);
-                    let known = accounts.message(newest);
+                    let known = accounts.message(newest).filter(|_| !has_no_keeper);
                     // A large one that was committed and never sent is lost.
                     let known = known.or(may_be_lost.then_some(message));
                     if known.map_or(!accounts.may_be(message), |known| known != message) {
@@ -95,6 +97,22 @@ impl Era<'_> {
             }
         }
         self.faults.append(&mut accounts.faults);
+    }
+
+    /// Whoever outlived many brokers and neighbours has kept nothing of them.
+    pub(super) fn look_at_what_survivors_hold(&mut self) {
+        for process in &mut self.processes {
+            if !process.lives() {
+                continue;
+            }
+            let streams = matches!(process.kind, "publisher" | "follower") || is_large(self.topic);
+            let (open_max, mapped_max) = if streams { HELD_ON_STREAM_MAX } else { HELD_MAX };
+            let (open, mapped) = Traces::held_by(process.pid());
+            if open > open_max || mapped > mapped_max {
+                let kind = process.kind;
+                self.faults.push(format!("a {kind} has {open} descriptors and {mapped} mappings"));
+            }
+        }
     }
 
     /// How many of those who publish to the shared topic have died in this round.
@@ -129,9 +147,6 @@ impl Era<'_> {
             self.fault(format!("counts are {counts:?}, not {held:?}"));
         }
         let mut holders = Vec::new();
-        // The streams' thread may be waiting for what iceoryx2 was making when
-        // somebody was killed.
-        let more_us = more_us + UNFINISHED_US;
         self.wait_shortly("no slot is held", more_us, |era| {
             era.keep_a_broker();
             holders = era.node().map(|node| node.slot_holders()).unwrap_or_default();
