@@ -36,6 +36,8 @@ mod instances;
 mod layouts;
 /// `uorb listener`.
 mod listening;
+/// Readers of flight logs, of another house.
+mod log_readers;
 /// A node does what a model of it in plain Rust does.
 mod model;
 /// The modules and `scripts/rc.sensors`.
@@ -46,6 +48,8 @@ mod places;
 mod publishing;
 /// `uorb record`.
 mod recording;
+/// `uorb record` when the disk, or it itself, gets into trouble.
+mod recording_in_need;
 /// `uorb replay`.
 mod replay;
 /// Processes that the broker cannot trust, and a broker in need.

@@ -5,6 +5,7 @@
 //! the file and with the bytes of the file: only when they go out is ours.
 
 mod contents;
+mod followers;
 mod pace;
 
 use std::collections::BTreeSet;
@@ -16,7 +17,6 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use serde_json::json;
-use uorb_core::broker_side::{Node, Role};
 use uorb_core::{
     AdvertiseOptions, Claim, Error, Instance, Metadata, QueueLength, RawPublication, Session,
     is_topic_name,
@@ -24,9 +24,10 @@ use uorb_core::{
 use uorb_ulog::{Ending, Fault, Message, Series, Source, Told, read};
 
 use self::contents::Contents;
+use self::followers::{wait_for_followers, wait_until_received};
 use self::pace::Speed;
 use crate::context::Context;
-use crate::exit::{Early, say};
+use crate::exit::Early;
 use crate::interrupt::Interrupt;
 use crate::topics::compiled_in;
 
@@ -74,8 +75,8 @@ pub(crate) struct Args {
     )]
     queue: Option<u32>,
 
-    /// Lose nothing: begin when every topic is followed, and wait for followers
-    /// that ask for it (`uorb record --back-pressure`) when they are behind
+    /// Lose nothing: begin when recorders that ask for it (`uorb record
+    /// --back-pressure`) follow all that they want, and wait when they are behind
     #[arg(long)]
     back_pressure: bool,
 
@@ -130,13 +131,16 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     }
 
     if args.back_pressure {
-        wait_for_followers(&session, &outlets)?;
+        wait_for_followers(&session, publications(&outlets))?;
     }
     let bar = bar(args, contents.length_us);
     let mut replay = Replay { args, contents: &contents, outlets, bar, position_us: 0 };
     let start = Instant::now();
     let ended = replay.publish_all(&mut *source, start);
     replay.bar.finish_and_clear();
+    if args.back_pressure && ended.is_ok() {
+        wait_until_received(&session, publications(&replay.outlets))?;
+    }
     let is_interrupted =
         ended.as_ref().is_err_and(|error| matches!(error.downcast_ref(), Some(Early::Interrupted)));
     if ended.is_ok() || is_interrupted {
@@ -368,29 +372,8 @@ impl Replay<'_> {
 /// How long to wait for room in a follower's queue before one looks again.
 const QUEUE_FULL_PAUSE: Duration = Duration::from_millis(1);
 
-/// Waits until somebody follows the stream of each instance.
-fn wait_for_followers(session: &Session, outlets: &[Option<Outlet>]) -> anyhow::Result<()> {
-    let interrupt = Interrupt::catch()?;
-    for outlet in outlets.iter().flatten() {
-        let (topic, instance) =
-            (&outlet.publication.metadata().name, outlet.publication.instance());
-        let node = Node::open(session.system(), topic, instance, Role::Observer)?;
-        let since = Instant::now();
-        let mut has_said = false;
-        while !node.streams().iter().any(|stream| stream.entry.back_pressure) {
-            if !has_said && since.elapsed() >= Duration::from_secs(1) {
-                say(format_args!(
-                    "{topic}{instance} is not followed with back-pressure yet; waiting, Ctrl-C ends it"
-                ));
-                has_said = true;
-            }
-            let soon = Instant::now() + Duration::from_millis(5);
-            if interrupt.wait_until(Some(soon))? {
-                bail!(Early::Interrupted);
-            }
-        }
-    }
-    Ok(())
+fn publications(outlets: &[Option<Outlet>]) -> impl Iterator<Item = &RawPublication> {
+    outlets.iter().flatten().map(|outlet| &outlet.publication)
 }
 
 /// A bar on a terminal's stderr; nothing where that is none.

@@ -24,7 +24,7 @@ pub use self::{
     log::{Ending, Fault, Message, RecordFault, Series, Told, read},
     parameters::{ParameterFault, parse_parameters},
     record::{NoLog, Source},
-    recorder::{Choice, Place, Plan, RecordError, Rule, Tally, record},
+    recorder::{Choice, Place, Plan, RecordError, ReplayReady, Rule, Tally, record},
     schema::Unloggable,
     writer::{Announced, Head, Level, Parameter, ParameterValue, SeriesId, Value, Writer},
 };
