@@ -50,6 +50,8 @@ mod publishing;
 mod recording;
 /// `uorb record` when the disk, or it itself, gets into trouble.
 mod recording_in_need;
+/// Rotation, rates, parameters, words, and the module `logger`.
+mod recording_ways;
 /// `uorb replay`.
 mod replay;
 /// Processes that the broker cannot trust, and a broker in need.

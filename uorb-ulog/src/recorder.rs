@@ -76,6 +76,10 @@ pub struct Tally {
     pub dropouts: u64,
     /// How long that was, together.
     pub dropped: Duration,
+    /// Topic instances that are followed.
+    pub topics: usize,
+    /// Bytes that wait for the disk.
+    pub buffered_bytes: usize,
     /// The files, in their order.
     pub files: Vec<PathBuf>,
 }

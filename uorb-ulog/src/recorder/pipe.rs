@@ -82,7 +82,11 @@ impl Pipe {
     }
 
     pub(super) fn has_room(&self, bytes: usize) -> bool {
-        self.shared.state().bytes.len() + bytes <= self.limit_bytes
+        self.buffered_bytes() + bytes <= self.limit_bytes
+    }
+
+    pub(super) fn buffered_bytes(&self) -> usize {
+        self.shared.state().bytes.len()
     }
 
     /// Why the file cannot be written, if it cannot. Said once.

@@ -118,6 +118,8 @@ impl<'a> Recorder<'a> {
             }
             self.tally.seconds = now_us.saturating_sub(self.began_us) as f64 / 1e6;
             self.tally.bytes = self.before_bytes + self.writer.written_bytes();
+            (self.tally.topics, self.tally.buffered_bytes) =
+                (self.followed.len(), self.pipe.buffered_bytes());
             if is_over {
                 return Ok(self.tally);
             }
