@@ -13,6 +13,7 @@ use nix::unistd::Pid;
 use uorb_core::Instance;
 use uorb_core::Publication;
 use uorb_core::broker_side::{Node, Role};
+use uorb_msg::SensorAccel;
 use uorb_tests::{Actor, Bus, Plain, Stamped, eventually, program};
 
 use crate::log_readers::{

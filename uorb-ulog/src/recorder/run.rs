@@ -3,7 +3,7 @@
 
 use std::io;
 use std::thread::sleep;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use uorb_core::{RawSubscription, Session, now_us};
 
@@ -14,6 +14,7 @@ use super::{Pipe, Plan, RecordError, Tally};
 use crate::writer::{Announced, Level, Writer};
 
 const TICK: Duration = Duration::from_millis(5);
+/// Where nothing says that a node is new.
 const SEARCH_EVERY_US: u64 = 50_000;
 const SYNC_EVERY_US: u64 = 500_000;
 const PROGRESS_EVERY_US: u64 = 1_000_000;
@@ -36,6 +37,8 @@ pub(super) struct Recorder<'a> {
     pub(super) has_searched: bool,
     /// Until when nothing new was on the bus.
     pub(super) searched_us: u64,
+    /// When nodes had come last, before the last search.
+    pub(super) nodes_changed: Option<SystemTime>,
     tally: Tally,
     began_us: u64,
     file_began_us: u64,
@@ -75,6 +78,7 @@ impl<'a> Recorder<'a> {
             questions: Vec::new(),
             has_searched: false,
             searched_us: began_us,
+            nodes_changed: None,
             tally: Tally { files: vec![path], ..Tally::default() },
             began_us,
             file_began_us: began_us,
@@ -105,7 +109,8 @@ impl<'a> Recorder<'a> {
                 self.finish()?;
             } else {
                 let is_asked = self.questions.iter_mut().any(RawSubscription::updated);
-                if is_asked || now_us >= self.searched_us + SEARCH_EVERY_US {
+                let is_due = now_us >= self.searched_us + SEARCH_EVERY_US;
+                if is_asked || is_due || self.nodes_changed != nodes_changed(self.session) {
                     self.search()?;
                     self.searched_us = now_us;
                 }
@@ -302,6 +307,11 @@ impl Followed {
     fn record_bytes(&self) -> usize {
         Writer::<&Pipe>::message_bytes(self.layout.size_bytes as usize) + 64
     }
+}
+
+/// When a node has come or gone: one look at a directory, where a list is many.
+pub(super) fn nodes_changed(session: &Session) -> Option<SystemTime> {
+    std::fs::metadata(session.system().nodes()).ok()?.modified().ok()
 }
 
 /// The low half of the newest generation.
