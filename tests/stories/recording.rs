@@ -8,11 +8,16 @@ use std::path::{Path, PathBuf};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use uorb_core::broker_side::{Node, Role};
-use uorb_core::{Instance, Publication, Session};
+use uorb_core::{
+    AdvertiseOptions, Instance, Layout, Metadata, Publication, QueueLength, RawPublication, Session,
+};
 use uorb_tests::{Actor, Bus, Ended, Plain, Stamped, eventually, program};
+use uorb_ulog::ReplayReady;
 
 use crate::flight_logs::{FlightLog, logs};
-use crate::log_readers::{Found, by_px4_ulog, by_pyulog, by_yule_log, check_same, read_by_all};
+use crate::log_readers::{
+    Found, by_px4_ulog, by_pyulog, by_yule_log, check_same, read_by_all, records,
+};
 
 /// A recorder on its way, and its log.
 pub(crate) struct Recording {
@@ -148,6 +153,63 @@ fn a_replay_does_not_wait_for_topics_that_the_recorder_leaves_out_or_samples() {
     let is_chosen = |(topic, _): &&(String, u8)| [whole, names[1]].contains(&&**topic);
     assert!(found.payloads.keys().all(|series| is_chosen(&series)));
     for (series, messages) in all.iter().filter(|((topic, _), _)| topic == whole) {
+        assert!(found.payloads[series] == *messages, "{series:?}");
+    }
+}
+
+#[test]
+fn a_replay_is_answered_when_all_that_it_has_advertised_is_followed() {
+    let mut bus = Bus::start();
+    let recording = Recording::begin(&bus, "asked.ulg", &["--back-pressure"]);
+    let mut question = bus.advertise_multi::<ReplayReady>();
+    let session = bus.session();
+    let follower = |topic: &str| {
+        let node = Node::open(session.system(), topic, Instance::FIRST, Role::Observer).unwrap();
+        node.streams().into_iter().find(|it| it.entry.back_pressure && it.has_begun)
+    };
+    eventually("it hears questions", || follower("replay_ready").is_some());
+    recording.recorder.stop();
+    let topics = ["one", "two", "three"].map(|topic| {
+        let layout = Layout::untyped(topic.to_string(), 8);
+        let metadata = Metadata {
+            name: topic.into(),
+            layout: std::borrow::Cow::Owned(layout),
+            queue_length: QueueLength::ONE,
+        };
+        RawPublication::advertise(&session, &metadata, AdvertiseOptions::default()).unwrap()
+    });
+    question.publish(&ReplayReady { timestamp: 1 }).unwrap();
+    recording.recorder.signal(Signal::SIGCONT);
+    eventually("it answers", || follower("replay_ready").is_some_and(|it| it.pending == 0));
+    for topic in &topics {
+        let topic = &topic.metadata().name;
+        assert!(follower(topic).is_some(), "{topic} is not followed");
+    }
+}
+
+#[test]
+fn a_replay_stays_until_its_last_messages_are_taken() {
+    let Some(log) = logs().iter().min_by_key(|log| log.length_us()) else { return };
+    // Fewer than a queue holds, so that nothing else makes the replay wait.
+    let all = by_px4_ulog(&log.path).payloads;
+    let small = all.iter().filter(|(_, messages)| (50..900).contains(&messages.len()));
+    let ((topic, _), _) = small.max_by_key(|(_, messages)| messages.len()).expect("such a topic");
+    let bus = Bus::start();
+    let recording = Recording::begin(&bus, "last.ulg", &["--back-pressure"]);
+    let replay = ["replay", log.name(), "--speed", "4", "--topic", topic, "--back-pressure"];
+    let mut replay = bus.spawn_uorb(&replay);
+    let has_some = || {
+        let file = fs::read(&recording.path).unwrap();
+        records(&file).iter().any(|(kind, _)| *kind == 'D')
+    };
+    eventually("it records", has_some);
+    recording.recorder.stop();
+    assert!(replay.word().expect("it waits").contains("slow to take the last messages"));
+    recording.recorder.signal(Signal::SIGCONT);
+    assert_eq!(replay.end().code, 0);
+    let (found, summary) = recording.end();
+    assert_eq!((summary.lost, summary.messages as usize), (0, found.count()));
+    for (series, messages) in all.iter().filter(|((name, _), _)| name == topic) {
         assert!(found.payloads[series] == *messages, "{series:?}");
     }
 }
