@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 
 use nix::sys::signal::Signal;
 use serde_json::Value;
-use uorb_core::broker_side::{Node, Role};
+use uorb_core::broker_side::{Node, Reply, Request, Role, Subject, Subscribe, Wish};
 use uorb_core::{
     AdvertiseOptions, Instance, Layout, Metadata, Publication, QueueLength, RawPublication, Session,
 };
-use uorb_tests::{Actor, Bus, Ended, Plain, Stamped, eventually, program};
+use uorb_tests::{Actor, Bus, Ended, Plain, Stamped, Stranger, eventually, program};
 use uorb_ulog::ReplayReady;
 
 use crate::flight_logs::{FlightLog, logs};
@@ -185,6 +185,27 @@ fn a_replay_is_answered_when_all_that_it_has_advertised_is_followed() {
         let topic = &topic.metadata().name;
         assert!(follower(topic).is_some(), "{topic} is not followed");
     }
+}
+
+/// Between the two, whoever publishes must not take it for one that hears everything.
+#[test]
+fn a_stream_that_the_broker_has_granted_has_not_begun() {
+    let mut bus = Bus::start();
+    let _plain = bus.advertise::<Plain>();
+    let follower = Stranger::connect(&bus.system);
+    follower.join("slow").unwrap();
+    let wish = Wish { depth: 8, back_pressure: true, place: None };
+    for stream in [None, Some(wish)] {
+        let subject = Subject::Named("plain".into());
+        let subscribe = Subscribe { handle: 1, subject, instance: Instance::FIRST, stream };
+        let reply = follower.ask(Request::Subscribe(subscribe));
+        assert!(!matches!(reply, None | Some(Reply::Refused(_))), "{reply:?}");
+    }
+    let node = Node::open(&bus.system, "plain", Instance::FIRST, Role::Observer).unwrap();
+    let have_begun = || node.streams().iter().map(|it| it.has_begun).collect::<Vec<_>>();
+    assert_eq!(have_begun(), [false]);
+    let _stream = bus.stream::<Plain>();
+    assert_eq!(have_begun(), [false, true]);
 }
 
 #[test]

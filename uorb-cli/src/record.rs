@@ -78,12 +78,14 @@ Examples:
 All instances are recorded, those too that appear later, every message of them
 where no rate is given. A topic without a field `timestamp` gets the time of its
 publication as one. A topic that appears with fields that were not known at the
-beginning begins a new file: a log has all its formats at its head.
+beginning begins a new file: a log has all its formats at its head. What modules
+say on the topic `log_message` is text in the log.
 
 What is older than half a second is in the file, whatever happens to this
 process; of a loss of power, two seconds. When the disk is slower than the bus
-for longer than --buffer holds, messages are lost; the log says where and for
-how long.
+for longer than --buffer holds, messages are lost; so are those that a new topic
+publishes before it is followed, some milliseconds. The log says where and for
+how long, and the closing line counts them.
 
 Exit code 0: until Ctrl-C, SIGTERM, --duration or the end of the bus; 1: an error.";
 
