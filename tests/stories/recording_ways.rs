@@ -149,7 +149,7 @@ fn what_modules_say_in_words_is_text_in_the_log() {
         fs::read(&recording.path).unwrap().windows(what.len()).any(|it| it == what.as_bytes())
     };
     eventually("it is written", || is_there("battery low"));
-    message = LogMessage { timestamp: 6, severity: 2, text: [b'x'; 127], ..LogMessage::default() };
+    message = LogMessage { timestamp: 6, severity: 2, text: [b'x'; 127] };
     words.publish(&message).unwrap();
     let (found, summary) = recording.end();
     let expected = [('4', "battery low".to_string()), ('2', "x".repeat(127))];
