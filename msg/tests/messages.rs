@@ -31,7 +31,8 @@ fn a_struct_has_as_many_bytes_as_its_layout_says() {
     }
     check! {
         ActuatorArmed ActuatorControls BatteryStatus CaTrajectoryMsg CommanderState ControlState
-        Ekf2Innovations Ekf2Timestamps EscReport EscStatus EstimatorStatus McAttCtrlStatus Mission
+        Ekf2Innovations Ekf2Timestamps EscReport EscStatus EstimatorStatus LogMessage LoggerStatus
+        McAttCtrlStatus Mission
         OrbTest OrbTestLarge OrbTestMedium Safety SensorAccel SensorBaro SensorCombined SensorGyro
         SensorMag VehicleAcceleration VehicleAttitude VehicleCommand VehicleGpsPosition
     }
