@@ -307,7 +307,10 @@ impl Keeper<'_> {
             let header = sample.user_header();
             let stamp = (header.publish_time_us, header.publisher);
             kept.node.save_last(header.generation, stamp, sample.payload());
-            debug!("keeps the last message of {}{}", key.0, key.1);
+            debug!(
+                "keeps the last message of {}{}, generation {}",
+                key.0, key.1, header.generation
+            );
         }
     }
 
