@@ -40,9 +40,8 @@ const CROWD: usize = 12;
 /// end of a bus. After some ten brokers, what it kept of each would be more.
 const HELD_MAX: (usize, usize) = (16, 6);
 
-/// The same for one with an end of a stream, which is connected with all others, and
-/// may have ports whose publications are gone.
-const HELD_ON_STREAM_MAX: (usize, usize) = (72, 44);
+/// The same for one with an end of a stream, which is connected with all others.
+const HELD_ON_STREAM_MAX: (usize, usize) = (48, 24);
 
 const TICK: Duration = Duration::from_micros(200);
 
