@@ -11,7 +11,9 @@
 mod completions;
 mod context;
 mod exit;
+mod export;
 mod fields;
+mod flight_log;
 mod info;
 mod interrupt;
 mod listener;
@@ -29,6 +31,7 @@ mod stop;
 mod test;
 mod top;
 mod topics;
+mod ulog;
 mod unreadable;
 
 use std::io::{self, BufWriter, Write};
@@ -59,6 +62,8 @@ Examples:
   uorb top                                watch how much is published, and lost
   uorb record -o flight.ulg               record a flight log
   uorb replay flight.ulg --speed 4        publish a flight log
+  uorb ulog info flight.ulg               what is in a flight log
+  uorb export flight.ulg --csv            its messages as tables
   uorb msg my_messages                    compile .msg files to C and C++
   uorb stop                               stop the broker
 
@@ -79,6 +84,8 @@ enum Command {
     Pub(publish::Args),
     Record(record::Args),
     Replay(replay::Args),
+    Export(export::Args),
+    Ulog(ulog::Args),
     Test(test::Args),
     Msg(msg::Args),
     Completions(completions::Args),
@@ -128,6 +135,8 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Man(args) => man::run(args, Cli::command(), out),
         Command::Ls(args) => ls::run(args, &context, out),
         Command::Record(args) => record::run(args, &context),
+        Command::Export(args) => export::run(args, out),
+        Command::Ulog(args) => ulog::run(args, out),
         Command::Replay(args) => replay::run(args, &context, out),
     }
 }

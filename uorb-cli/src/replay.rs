@@ -8,9 +8,8 @@ mod contents;
 mod pace;
 
 use std::collections::BTreeSet;
-use std::fs::File;
-use std::io::{BufReader, Cursor, Read, Write};
-use std::path::{Path, PathBuf};
+use std::io::Write;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail};
@@ -23,10 +22,14 @@ use uorb_core::{
 };
 use uorb_ulog::{Ending, Fault, Message, Series, Source, Told, read};
 
+pub(crate) use self::contents::Span;
+pub(crate) use self::pace::Judge;
+
 use self::contents::Contents;
 use self::pace::Speed;
 use crate::context::Context;
 use crate::exit::{Early, say};
+use crate::flight_log::{check_patterns, is_match, open};
 use crate::interrupt::Interrupt;
 use crate::topics::compiled_in;
 
@@ -159,25 +162,10 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     }
 }
 
-/// Opens the log. What cannot be read twice, as a pipe, is kept in memory.
-fn open(path: &Path) -> anyhow::Result<Box<dyn Source>> {
-    let name = || format!("cannot read {}", path.display());
-    let mut file = File::open(path).with_context(name)?;
-    if file.metadata().with_context(name)?.is_file() {
-        return Ok(Box::new(BufReader::with_capacity(1 << 18, file)));
-    }
-    let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes).with_context(name)?;
-    Ok(Box::new(Cursor::new(bytes)))
-}
-
 /// Which of the series are to be replayed.
 fn choose(args: &Args, series: &[Series]) -> anyhow::Result<Vec<bool>> {
-    for pattern in args.topic.iter().chain(&args.exclude) {
-        if !series.iter().any(|series| is_match(pattern, &series.topic)) {
-            bail!("no topic in {} is named {pattern}", args.file.display());
-        }
-    }
+    let names: Vec<&str> = series.iter().map(|series| &*series.topic).collect();
+    check_patterns(&args.file, args.topic.iter().chain(&args.exclude), &names)?;
     let is_chosen: Vec<bool> = series
         .iter()
         .map(|series| {
@@ -193,16 +181,6 @@ fn choose(args: &Args, series: &[Series]) -> anyhow::Result<Vec<bool>> {
         bail!("{} has no such instance of these topics, or all are left out", args.file.display());
     }
     Ok(is_chosen)
-}
-
-/// Whether a name matches a pattern, in which `*` stands for any letters.
-fn is_match(pattern: &str, name: &str) -> bool {
-    match pattern.split_once('*') {
-        None => pattern == name,
-        Some((start, rest)) => name.strip_prefix(start).is_some_and(|name| {
-            (0..=name.len()).any(|at| name.is_char_boundary(at) && is_match(rest, &name[at..]))
-        }),
-    }
 }
 
 fn seconds(text: &str) -> Result<Duration, &'static str> {
@@ -408,25 +386,4 @@ fn bar(args: &Args, length_us: u64) -> ProgressBar {
             let _ = write!(to, "{:.1}", seconds(length_us));
         });
     ProgressBar::new(length_us).with_style(style)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_pattern_matches_names() {
-        for (pattern, name, expected) in [
-            ("sensor_accel", "sensor_accel", true),
-            ("sensor_accel", "sensor_accel_fifo", false),
-            ("sensor_*", "sensor_accel", true),
-            ("sensor_*", "vehicle_imu", false),
-            ("*imu*", "vehicle_imu_status", true),
-            ("*_status", "vehicle_imu_status", true),
-            ("*_status", "vehicle_status_flags", false),
-            ("*", "", true),
-        ] {
-            assert_eq!(is_match(pattern, name), expected, "{pattern} {name}");
-        }
-    }
 }

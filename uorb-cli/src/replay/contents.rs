@@ -40,7 +40,7 @@ impl Contents {
         let mut judge = Judge::default();
         let ending = read::<Fault>(source, u64::MAX, |told| {
             match told {
-                Told::Began { timestamp_us } => span.began_us = timestamp_us,
+                Told::Began { timestamp_us } => span.begin(timestamp_us),
                 Told::Series(one) => series.push(one),
                 Told::Message(message) => {
                     if let Some(timestamp_us) = message.timestamp_us {
@@ -87,7 +87,7 @@ impl Contents {
 
 /// From when to when the messages of a log are.
 #[derive(Debug, Default)]
-struct Span {
+pub(crate) struct Span {
     began_us: u64,
     /// The first timestamp that is not from before the log began.
     first_us: Option<u64>,
@@ -97,7 +97,12 @@ struct Span {
 }
 
 impl Span {
-    fn add(&mut self, judged: Option<Judged>) {
+    /// Takes the time of the header.
+    pub(crate) fn begin(&mut self, began_us: u64) {
+        self.began_us = began_us;
+    }
+
+    pub(crate) fn add(&mut self, judged: Option<Judged>) {
         let Some(Judged { number, timestamp_us, is_ahead }) = judged else { return };
         if is_ahead {
             self.ahead.insert(number);
@@ -119,7 +124,7 @@ impl Span {
         self.first_us.or(self.oldest_us).unwrap_or(self.began_us)
     }
 
-    fn length_us(&self) -> u64 {
+    pub(crate) fn length_us(&self) -> u64 {
         self.newest_us.map_or(0, |newest_us| newest_us.saturating_sub(self.origin_us()))
     }
 }

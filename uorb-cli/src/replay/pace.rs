@@ -81,14 +81,14 @@ impl Clock {
 /// Finds the messages that are ahead of their time: most of those behind them
 /// are earlier, and by far.
 #[derive(Debug, Default)]
-pub(super) struct Judge {
+pub(crate) struct Judge {
     /// Number and timestamp of messages that are not judged yet.
     waiting: VecDeque<(u64, u64)>,
 }
 
 /// What the judge says of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Judged {
+pub(crate) struct Judged {
     pub(super) number: u64,
     pub(super) timestamp_us: u64,
     pub(super) is_ahead: bool,
@@ -96,13 +96,13 @@ pub(super) struct Judged {
 
 impl Judge {
     /// Takes a message, and judges the one that by now has enough behind it.
-    pub(super) fn push(&mut self, number: u64, timestamp_us: u64) -> Option<Judged> {
+    pub(crate) fn push(&mut self, number: u64, timestamp_us: u64) -> Option<Judged> {
         self.waiting.push_back((number, timestamp_us));
         (self.waiting.len() > FOLLOWERS).then(|| self.pop()).flatten()
     }
 
     /// Judges the next of those that are left at the end.
-    pub(super) fn pop(&mut self) -> Option<Judged> {
+    pub(crate) fn pop(&mut self) -> Option<Judged> {
         let (number, timestamp_us) = self.waiting.pop_front()?;
         let is_far_behind = |(_, follower_us): &&(u64, u64)| {
             follower_us.saturating_add(AHEAD_MAX_US) < timestamp_us
