@@ -20,6 +20,8 @@ mod crowds;
 mod deaths;
 /// A subscription is a file descriptor: poll(2), epoll, tokio, intervals.
 mod descriptors;
+/// `uorb ulog info` and `uorb export`.
+mod exports;
 /// What the kernel does not give.
 mod faults;
 /// Real flight logs.

@@ -11,7 +11,6 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapResult, WriteOptions, Writer};
-use uorb_core::Layout;
 use uorb_ulog::{Message, Said, Series, Told, read_all};
 
 use super::cdr::{Schema, encode};
@@ -48,7 +47,8 @@ pub(super) fn export(args: &Args, out: &mut dyn Write) -> anyhow::Result<Exporte
             let is_match = |pattern: &String| is_match(pattern, &series.topic);
             let is_chosen = args.topic.is_empty() || args.topic.iter().any(is_match);
             topics.push(series.topic.clone());
-            channels.announce(series, is_chosen).with_context(cannot_write)
+            channels.announce(series, is_chosen);
+            Ok(())
         }
         Said::Told(Told::Message(message)) => {
             about.pass(&message);
@@ -98,8 +98,9 @@ struct Channels<W: Write + Seek> {
 }
 
 struct Channel {
-    id: u16,
-    layout: Layout,
+    series: Series,
+    /// None: there was no message yet. Of what stays silent there is no channel.
+    id: Option<u16>,
     messages: u32,
 }
 
@@ -108,28 +109,18 @@ impl<W: Write + Seek> Channels<W> {
         Self { writer, by_series: Vec::new(), messages: 0, now_us: 0, encoded: Vec::new() }
     }
 
-    fn announce(&mut self, series: Series, is_chosen: bool) -> McapResult<()> {
-        let Series { topic, instance, layout } = series;
-        let mut channel = None;
-        if is_chosen {
-            let Schema { name, text } = Schema::of(&layout);
-            let schema = self.writer.add_schema(&name, "ros2msg", text.as_bytes())?;
-            // As the nodes of ROS 2 are named: a number alone is no part of a name.
-            let name = format!("/{topic}_{instance}");
-            let id = self.writer.add_channel(schema, &name, "cdr", &BTreeMap::new())?;
-            channel = Some(Channel { id, layout, messages: 0 });
-        }
-        self.by_series.push(channel);
-        Ok(())
+    fn announce(&mut self, series: Series, is_chosen: bool) {
+        let channel = Channel { series, id: None, messages: 0 };
+        self.by_series.push(is_chosen.then_some(channel));
     }
 
     fn add(&mut self, message: &Message<'_>) -> McapResult<()> {
         self.now_us = message.timestamp_us.unwrap_or(self.now_us);
         let Some(channel) = &mut self.by_series[message.series] else { return Ok(()) };
-        encode(&mut self.encoded, &channel.layout, message.bytes);
+        encode(&mut self.encoded, &channel.series.layout, message.bytes);
         let time_ns = self.now_us.saturating_mul(1_000);
         let header = MessageHeader {
-            channel_id: channel.id,
+            channel_id: channel.id(&mut self.writer)?,
             sequence: channel.messages,
             log_time: time_ns,
             publish_time: time_ns,
@@ -172,5 +163,21 @@ impl<W: Write + Seek> Channels<W> {
         }
         self.writer.finish()?;
         Ok(())
+    }
+}
+
+impl Channel {
+    fn id<W: Write + Seek>(&mut self, writer: &mut Writer<W>) -> McapResult<u16> {
+        if let Some(id) = self.id {
+            return Ok(id);
+        }
+        let Series { topic, instance, layout } = &self.series;
+        let Schema { name, text } = Schema::of(layout);
+        let schema = writer.add_schema(&name, "ros2msg", text.as_bytes())?;
+        // Not a number alone: that is no part of a name in ROS.
+        let name = format!("/{topic}_{instance}");
+        let id = writer.add_channel(schema, &name, "cdr", &BTreeMap::new())?;
+        self.id = Some(id);
+        Ok(id)
     }
 }
