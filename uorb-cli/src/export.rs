@@ -17,7 +17,6 @@ use crate::flight_log::judge;
 /// Turn a ULog flight log into CSV files or into an MCAP file.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
-#[group(id = "format", required = true)]
 pub(crate) struct Args {
     /// The flight log
     #[arg(value_name = "FILE.ulg")]
@@ -25,11 +24,11 @@ pub(crate) struct Args {
 
     /// A CSV file for each topic and instance, named and laid out as by pyulog's
     /// ulog2csv
-    #[arg(long, group = "format")]
+    #[arg(long, required_unless_present = "mcap", conflicts_with = "mcap")]
     csv: bool,
 
     /// One MCAP file, for Foxglove and ROS 2
-    #[arg(long, group = "format")]
+    #[arg(long)]
     mcap: bool,
 
     /// The directory of the CSV files, or the MCAP file [default: beside the log]

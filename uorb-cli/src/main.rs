@@ -21,6 +21,7 @@ mod ls;
 mod man;
 mod msg;
 mod nearest;
+mod plot;
 mod print;
 mod publish;
 mod record;
@@ -60,6 +61,7 @@ Examples:
   uorb info sensor_accel                  fields, publishers, subscribers
   uorb ls /obj                            list the nodes, as `ls /obj` does
   uorb top                                watch how much is published, and lost
+  uorb plot sensor_accel x y z            watch fields over time
   uorb record -o flight.ulg               record a flight log
   uorb replay flight.ulg --speed 4        publish a flight log
   uorb ulog info flight.ulg               what is in a flight log
@@ -84,6 +86,7 @@ enum Command {
     Pub(publish::Args),
     Record(record::Args),
     Replay(replay::Args),
+    Plot(plot::Args),
     Export(export::Args),
     Ulog(ulog::Args),
     Test(test::Args),
@@ -135,6 +138,7 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Man(args) => man::run(args, Cli::command(), out),
         Command::Ls(args) => ls::run(args, &context, out),
         Command::Record(args) => record::run(args, &context),
+        Command::Plot(args) => plot::run(args, &context),
         Command::Export(args) => export::run(args, out),
         Command::Ulog(args) => ulog::run(args, out),
         Command::Replay(args) => replay::run(args, &context, out),
