@@ -84,7 +84,7 @@ fn named(before: &[u8], name: &str, value: &[u8]) -> Vec<u8> {
 }
 
 /// A log with one of everything that stands beside messages.
-fn with_notes() -> Recording {
+pub(crate) fn with_notes() -> Recording {
     let mut recording = Recording::begin(5_000_000);
     recording.record(b'I', &named(b"", "char[3] sys_name", b"PX4"));
     let version = 0x010f_02ff_u32.to_le_bytes();

@@ -110,11 +110,11 @@ mod tests {
         let rows: Vec<&str> = text.lines().collect();
         assert_eq!(rows[0], "sensor_accel0  x 100.0000 m  y nan m");
         assert!(rows[1].contains("105.0000"), "{text}");
-        assert!(rows[9].contains("-5.0000") && rows[10].contains("-10 s"), "{text}");
+        assert!(rows[8].contains("-5.0000") && rows[10].contains("-10 s"), "{text}");
         assert!(rows[10].ends_with("now"), "{text}");
         // A ramp goes from the one corner to the other.
         let dots = |row: &str| row.chars().any(|it| ('\u{2801}'..='\u{28ff}').contains(&it));
-        assert!(dots(rows[1]) && dots(rows[5]) && dots(rows[9]), "{text}");
+        assert!(dots(rows[1]) && dots(rows[5]) && dots(rows[8]), "{text}");
         for (width, height) in [(10, 3), (1, 1), (0, 0)] {
             drawn(&view, width, height);
         }

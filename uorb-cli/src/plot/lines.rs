@@ -12,6 +12,10 @@ use crate::topics::compiled_in;
 /// The most points of a line that are kept: of a window, the newest.
 const POINTS_MAX: usize = 1 << 20;
 
+/// A value beyond is drawn here: the difference of any two must be a number, with
+/// room around it. plotters looks for marks on an endless axis for ever.
+const VALUE_MAX: f64 = 1e300;
+
 /// Lines over one time.
 #[derive(Debug)]
 pub(super) struct Lines {
@@ -36,6 +40,14 @@ impl Line {
         match &*self.unit {
             "" => self.path.clone(),
             unit => format!("{} [{unit}]", self.path),
+        }
+    }
+
+    fn push(&mut self, seconds: f64, value: f64) {
+        let value = if value.is_finite() { value.clamp(-VALUE_MAX, VALUE_MAX) } else { value };
+        self.points.push_back((seconds, value));
+        if self.points.len() > POINTS_MAX {
+            self.points.pop_front();
         }
     }
 
@@ -102,10 +114,7 @@ impl Lines {
             // It was found before.
             let place = path::find(&self.layout, &line.path).ok();
             let value = place.and_then(|place| value_of(&place, message)).unwrap_or(f64::NAN);
-            line.points.push_back((seconds, value));
-            if line.points.len() > POINTS_MAX {
-                line.points.pop_front();
-            }
+            line.push(seconds, value);
         }
     }
 
@@ -130,8 +139,8 @@ impl Lines {
             return None;
         }
         let room = match high - low {
-            // All the same, or too far apart for the difference to be a number.
-            room if room == 0.0 || !room.is_finite() => low.abs().max(1.0) * 0.1,
+            // All the same, or so near that there are no marks in between.
+            room if room <= low.abs() * 1e-9 => low.abs().max(1.0) * 0.1,
             room => room * 0.05,
         };
         Some((low - room, high + room))
@@ -189,14 +198,17 @@ pub(super) mod tests {
     use super::*;
     use crate::fields::samples;
 
-    /// Lines of these points.
-    pub(in super::super) fn lines(named: &[(&str, &str, &[(f64, f64)])]) -> Lines {
-        let line = |&(path, unit, points): &(&str, &str, &[(f64, f64)])| Line {
-            path: path.into(),
-            unit: unit.into(),
-            points: points.iter().copied().collect(),
+    /// A path, a unit, and points.
+    type Described<'a> = (&'a str, &'a str, &'a [(f64, f64)]);
+
+    /// Such lines.
+    pub(in super::super) fn lines(described: &[Described<'_>]) -> Lines {
+        let line = |&(path, unit, points): &Described<'_>| {
+            let mut line = Line { path: path.into(), unit: unit.into(), points: VecDeque::new() };
+            points.iter().for_each(|&(seconds, value)| line.push(seconds, value));
+            line
         };
-        let lines = named.iter().map(line).collect();
+        let lines = described.iter().map(line).collect();
         Lines { layout: SensorAccel::LAYOUT.clone(), lines }
     }
 
@@ -265,6 +277,8 @@ pub(super) mod tests {
         assert_eq!((some.x_range(), some.y_range(0.0, 2.0)), (Some((2.0, 2.0)), Some((9.0, 11.0))));
         assert_eq!(some.y_range(3.0, 4.0), None);
         let far = lines(&[("x", "", &[(0.0, f64::MAX), (0.0, f64::MIN)])]);
-        assert!(far.y_range(0.0, 0.0).is_some());
+        assert_eq!(far.y_range(0.0, 0.0), Some((-1.1e300, 1.1e300)));
+        let near = lines(&[("x", "", &[(0.0, 1e17), (0.0, 1e17 + 16.0)])]);
+        assert_eq!(near.y_range(0.0, 0.0), Some((0.9e17, 1.1e17 + 16.0)));
     }
 }

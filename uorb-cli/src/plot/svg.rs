@@ -127,9 +127,13 @@ mod tests {
 
     #[test]
     fn nothing_and_what_is_endless_are_pictures_too() {
-        for points in
-            [&[][..], &[(0.0, f64::NAN)], &[(5.0, 7.0)], &[(0.0, f64::MAX), (1.0, f64::MIN)]]
-        {
+        for points in [
+            &[][..],
+            &[(0.0, f64::NAN)],
+            &[(5.0, 7.0)],
+            &[(0.0, f64::MAX), (1.0, f64::MIN)],
+            &[(0.0, 1e17), (1.0, 1e17 + 16.0)],
+        ] {
             picture("", "", &lines(&[("x", "", points)])).unwrap();
         }
     }
