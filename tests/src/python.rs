@@ -1,14 +1,14 @@
-//! Foreign programs: Python with iceoryx2 from PyPI, and nothing of ours.
+//! Foreign programs: Python with packages from PyPI, and nothing of ours.
 //!
-//! The virtual environment that they need is made once and kept beside the
-//! programs of this workspace, in cargo's target directory. Where it cannot be
+//! The virtual environments that they need are made once and kept beside the
+//! programs of this workspace, in cargo's target directory. Where one cannot be
 //! made, because Python or PyPI is out of reach, the stories about foreign
 //! programs say so and pass.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use nix::fcntl::{Flock, FlockArg};
@@ -16,9 +16,21 @@ use uorb_core::{Instance, World, broker_side::service_name};
 
 use crate::{Actor, Bus, program};
 
+/// The packages of a virtual environment, under the name of its directory.
+struct Packages {
+    environment: &'static str,
+    names: &'static [&'static str],
+}
+
 /// Of one release with the iceoryx2 that this workspace uses: programs of
 /// different ones do not meet.
-const PACKAGE: &str = "iceoryx2==0.10.0";
+const ICEORYX2: Packages = Packages { environment: "foreign-python", names: &["iceoryx2==0.10.0"] };
+
+/// What reads flight logs, and what is made of them.
+const LOG_READERS: Packages = Packages {
+    environment: "log-readers-python",
+    names: &["pyulog==1.3.0", "mcap==1.6.0", "mcap-ros2-support==0.6.0"],
+};
 
 /// How long what could not be had is not asked for again.
 const REFUSAL_HOLDS: Duration = Duration::from_secs(600);
@@ -26,23 +38,45 @@ const REFUSAL_HOLDS: Duration = Duration::from_secs(600);
 /// The program that `tests/foreign/actor.py` is.
 const ACTOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/actor.py");
 
-/// A Python that can be an iceoryx2 program.
+/// The program that `tests/foreign/exported.py` is.
+const EXPORTED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/exported.py");
+
+/// A Python with the packages that it was made with.
 #[derive(Debug)]
 pub struct Python {
     interpreter: PathBuf,
 }
 
 impl Python {
+    /// A Python that can be an iceoryx2 program.
+    pub fn with_iceoryx2() -> Option<Self> {
+        Self::with(&ICEORYX2)
+    }
+
+    /// A Python that reads ULog and MCAP.
+    pub fn with_log_readers() -> Option<Self> {
+        Self::with(&LOG_READERS)
+    }
+
     /// Makes the environment, if nobody has. None where that is not possible:
     /// then it has said why.
-    pub fn with_iceoryx2() -> Option<Self> {
-        match environment() {
+    fn with(packages: &Packages) -> Option<Self> {
+        match environment(packages) {
             Ok(interpreter) => Some(Self { interpreter }),
             Err(why) => {
-                eprintln!("skipped: Python with {PACKAGE} cannot be had here: {why}");
+                let names = packages.names.join(", ");
+                eprintln!("skipped: Python with {names} cannot be had here: {why}");
                 None
             }
         }
+    }
+
+    /// Has `exported.py` compare an export with the log, as others read both.
+    /// Returns what it counted.
+    pub fn compare_exported(&self, mode: &str, log: &Path, exported: &Path) -> String {
+        let mut command = Command::new(&self.interpreter);
+        command.args(["-B", EXPORTED, mode]).args([log, exported]).stderr(Stdio::piped());
+        Actor::spawn(command).end().fine()
     }
 
     /// Spawns a program's text as on a shell with this bus, that has `uorb`.
@@ -74,35 +108,37 @@ fn programs() -> Option<PathBuf> {
 }
 
 /// The interpreter of the environment, or what could not be had.
-fn environment() -> Result<PathBuf, String> {
+fn environment(packages: &Packages) -> Result<PathBuf, String> {
     let programs = programs().expect("there is a broker to be tested");
-    let environment = programs.join("foreign-python");
+    let environment = programs.join(packages.environment);
     let interpreter = environment.join("bin/python");
     // Written last: what was left half-made does not count.
     let ready = environment.join("ready");
 
     // Stories run side by side, each in a process: one makes it, others wait.
-    let lock = File::create(programs.join("foreign-python.lock")).expect("a file beside ours");
+    let lock = File::create(environment.with_extension("lock")).expect("a file beside ours");
     let _lock = Flock::lock(lock, FlockArg::LockExclusive).expect("it can be locked");
-    if fs::read(&ready).is_ok_and(|made_of| made_of == PACKAGE.as_bytes()) {
+    let names = packages.names.join("\n");
+    if fs::read(&ready).is_ok_and(|made_of| made_of == names.as_bytes()) {
         return Ok(interpreter);
     }
     // Each story would wait for PyPI in vain.
-    let refused = programs.join("foreign-python.refused");
+    let refused = environment.with_extension("refused");
     let refused_at = fs::metadata(&refused).and_then(|file| file.modified());
     if refused_at.is_ok_and(|at| at.elapsed().is_ok_and(|since| since < REFUSAL_HOLDS)) {
         return Err(fs::read_to_string(refused).unwrap_or_default());
     }
-    make(&environment, &interpreter).inspect_err(|why| _ = fs::write(&refused, why))?;
-    fs::write(&ready, PACKAGE).expect("a file in a directory of ours");
+    make(&environment, &interpreter, packages).inspect_err(|why| _ = fs::write(&refused, why))?;
+    fs::write(&ready, names).expect("a file in a directory of ours");
     Ok(interpreter)
 }
 
-fn make(environment: &Path, interpreter: &Path) -> Result<(), String> {
+fn make(environment: &Path, interpreter: &Path, packages: &Packages) -> Result<(), String> {
     let _ = fs::remove_dir_all(environment);
     run(Path::new("python3"), &["-m".as_ref(), "venv".as_ref(), environment.as_ref()])?;
-    let install = ["-m", "pip", "install", "--quiet", "--no-cache-dir", "--retries", "1", PACKAGE];
-    run(interpreter, &install.map(OsStr::new))
+    let install = ["-m", "pip", "install", "--quiet", "--no-cache-dir", "--retries", "1"];
+    let arguments = install.iter().chain(packages.names).map(OsStr::new);
+    run(interpreter, &arguments.collect::<Vec<_>>())
 }
 
 /// Runs a command to its end. What it says is heard if it fails.
