@@ -40,8 +40,9 @@ const CROWD: usize = 12;
 /// end of a bus. After some ten brokers, what it kept of each would be more.
 const HELD_MAX: (usize, usize) = (16, 6);
 
-/// The same for one with an end of a stream, which is connected with all others.
-const HELD_ON_STREAM_MAX: (usize, usize) = (48, 24);
+/// The same for one with an end of a stream, which is connected with all others, and
+/// with those who died since it looked last.
+const HELD_ON_STREAM_MAX: (usize, usize) = (72, 48);
 
 const TICK: Duration = Duration::from_micros(200);
 
