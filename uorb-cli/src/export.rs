@@ -10,6 +10,7 @@ mod mcap;
 use std::io::Write;
 use std::path::PathBuf;
 
+use clap::ArgGroup;
 use uorb_ulog::{Ending, Fault};
 
 use crate::flight_log::judge;
@@ -17,6 +18,7 @@ use crate::flight_log::judge;
 /// Turn a ULog flight log into CSV files or into an MCAP file.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
+#[command(group = ArgGroup::new("format").required(true).args(["csv", "mcap"]))]
 pub(crate) struct Args {
     /// The flight log
     #[arg(value_name = "FILE.ulg")]
@@ -24,7 +26,7 @@ pub(crate) struct Args {
 
     /// A CSV file for each topic and instance, named and laid out as by pyulog's
     /// ulog2csv
-    #[arg(long, required_unless_present = "mcap", conflicts_with = "mcap")]
+    #[arg(long)]
     csv: bool,
 
     /// One MCAP file, for Foxglove and ROS 2
