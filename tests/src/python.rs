@@ -41,6 +41,9 @@ const ACTOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/actor.py");
 /// The program that `tests/foreign/exported.py` is.
 const EXPORTED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/exported.py");
 
+/// The program that `tests/foreign/recorded.py` is.
+const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/recorded.py");
+
 /// A Python with the packages that it was made with.
 #[derive(Debug)]
 pub struct Python {
@@ -89,6 +92,15 @@ impl Python {
         command.env("PATH", std::env::join_paths(paths).expect("they were joined before"));
         command.args(["-c", &text]);
         Actor::spawn(command)
+    }
+
+    /// Has `recorded.py` say what is in each of these logs, a line of JSON each.
+    pub fn read_logs(&self, logs: &[PathBuf]) -> Vec<String> {
+        let mut command = Command::new(&self.interpreter);
+        command.args(["-B", RECORDED]).args(logs);
+        let said = Actor::spawn(command).finish();
+        assert_eq!(said.len(), logs.len(), "{said:?}");
+        said
     }
 
     /// Spawns `actor.py` in a mode, on instance 0 of a topic's stream.

@@ -38,6 +38,8 @@ mod instances;
 mod layouts;
 /// `uorb listener`.
 mod listening;
+/// Readers of flight logs, of another house.
+mod log_readers;
 /// A node does what a model of it in plain Rust does.
 mod model;
 /// The modules and `scripts/rc.sensors`.
@@ -50,6 +52,8 @@ mod plots;
 mod publishing;
 /// `uorb record`.
 mod recording;
+/// `uorb record` when the disk, or it itself, gets into trouble.
+mod recording_in_need;
 /// `uorb replay`.
 mod replay;
 /// `uorb replay`, again and again, in part, under other names, and key by key.

@@ -75,6 +75,10 @@ fn a_picture_of_a_bus_has_what_was_published_meanwhile() {
         let message = SensorAccel { timestamp: now_us(), x: number as f32, ..Default::default() };
         accel.publish(&message).unwrap();
     }
+    uorb_tests::eventually("it has all", || {
+        let info = bus.uorb(&["info", "sensor_accel", "--json"]).fine();
+        info.contains("\"pending\":0") || info.contains("\"pending\": 0")
+    });
     plot.interrupt().fine();
     let picture = fs::read_to_string(&svg).unwrap();
     for words in ["sensor_accel0", "x [m/s^2]", "z [m/s^2]", "<polyline"] {

@@ -113,14 +113,15 @@ pub(crate) fn run(args: &Args, context: &Context) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `12.3 s, 4.5 MB, 1234 messages/s, 0 lost in 0 dropouts`
+/// `12.3 s, 4.5 MB, 1234 messages, 100 a second, 0 lost in 0 dropouts of 0.0 s`
 fn line(tally: &Tally) -> String {
-    let Tally { seconds, messages, bytes, lost, dropouts, .. } = tally;
+    let Tally { seconds, messages, bytes, lost, dropouts, dropped, .. } = tally;
     let rate = if *seconds > 0.0 { *messages as f64 / seconds } else { 0.0 };
     format!(
         "{seconds:.1} s, {:.1} MB, {messages} messages, {rate:.0} a second, \
-         {lost} lost in {dropouts} dropouts",
-        *bytes as f64 / 1e6
+         {lost} lost in {dropouts} dropouts of {:.1} s",
+        *bytes as f64 / 1e6,
+        dropped.as_secs_f64()
     )
 }
 

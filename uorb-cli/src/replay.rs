@@ -5,6 +5,7 @@
 //! the file and with the bytes of the file: only when they go out is ours.
 
 mod contents;
+mod followers;
 mod keys;
 mod pace;
 
@@ -16,7 +17,6 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use serde_json::json;
-use uorb_core::broker_side::{Node, Role};
 use uorb_core::{
     AdvertiseOptions, Claim, Error, Instance, Metadata, QueueLength, RawPublication, Session,
     is_topic_name,
@@ -27,10 +27,11 @@ pub(crate) use self::contents::Span;
 pub(crate) use self::pace::Judge;
 
 use self::contents::Contents;
+use self::followers::{wait_for_followers, wait_until_received};
 use self::keys::{Key, Keys};
 use self::pace::{Due, Pace, Speed};
 use crate::context::Context;
-use crate::exit::{Early, say};
+use crate::exit::Early;
 use crate::flight_log::{check_patterns, is_match, open};
 use crate::interrupt::Interrupt;
 use crate::topics::compiled_in;
@@ -103,8 +104,8 @@ pub(crate) struct Args {
     )]
     queue: Option<u32>,
 
-    /// Lose nothing: begin when every topic is followed, and wait for followers
-    /// that ask for it (`uorb record --back-pressure`) when they are behind
+    /// Lose nothing: begin when recorders that ask for it (`uorb record
+    /// --back-pressure`) follow all that they want, and wait when they are behind
     #[arg(long)]
     back_pressure: bool,
 
@@ -173,7 +174,7 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     }
 
     if args.back_pressure {
-        wait_for_followers(&session, &outlets)?;
+        wait_for_followers(&session, publications(&outlets))?;
     }
     let bar = bar(args, contents.length_us);
     let keys = Keys::listen()?;
@@ -200,6 +201,9 @@ pub(crate) fn run(args: &Args, context: &Context, out: &mut dyn Write) -> anyhow
     let start = Instant::now();
     let ended = replay.play(&mut *source);
     replay.bar.finish_and_clear();
+    if args.back_pressure && ended.is_ok() {
+        wait_until_received(&session, publications(&replay.outlets))?;
+    }
     let early = ended.as_ref().err().and_then(|error| error.downcast_ref::<Early>());
     let is_interrupted = matches!(early, Some(Early::Interrupted));
     if ended.is_ok() || is_interrupted {
@@ -555,29 +559,8 @@ fn micros(duration: Duration) -> u64 {
 /// How long to wait for room in a follower's queue before one looks again.
 const QUEUE_FULL_PAUSE: Duration = Duration::from_millis(1);
 
-/// Waits until somebody follows the stream of each instance.
-fn wait_for_followers(session: &Session, outlets: &[Option<Outlet>]) -> anyhow::Result<()> {
-    let interrupt = Interrupt::catch()?;
-    for outlet in outlets.iter().flatten() {
-        let (topic, instance) =
-            (&outlet.publication.metadata().name, outlet.publication.instance());
-        let node = Node::open(session.system(), topic, instance, Role::Observer)?;
-        let since = Instant::now();
-        let mut has_said = false;
-        while !node.streams().iter().any(|stream| stream.entry.back_pressure) {
-            if !has_said && since.elapsed() >= Duration::from_secs(1) {
-                say(format_args!(
-                    "{topic}{instance} is not followed with back-pressure yet; waiting, Ctrl-C ends it"
-                ));
-                has_said = true;
-            }
-            let soon = Instant::now() + Duration::from_millis(5);
-            if interrupt.wait_until(Some(soon))? {
-                bail!(Early::Interrupted);
-            }
-        }
-    }
-    Ok(())
+fn publications(outlets: &[Option<Outlet>]) -> impl Iterator<Item = &RawPublication> {
+    outlets.iter().flatten().map(|outlet| &outlet.publication)
 }
 
 /// A bar on a terminal's stderr; nothing where that is none.

@@ -120,7 +120,7 @@ pub(crate) mod doorbell {
     /// Messages of foreign publishers that stream subscriptions have dropped.
     pub(crate) const FOREIGN: usize = 16;
     /// One a stream subscription: the generation up to which it has received,
-    /// and the messages that it has lost.
+    /// the messages that it has lost, and whether it has begun.
     pub(crate) const STREAMS: usize = 24;
     pub(crate) const STREAM_WORDS: usize = 8;
 }

@@ -330,6 +330,11 @@ impl Keeper<'_> {
     }
 
     fn clean_up(&mut self) {
+        // It takes the ports of all who are dead, also of those whose death is not
+        // heard of yet: what they have sent outlives them once it is mapped.
+        for newest in self.kept.values().filter_map(|kept| kept.newest.as_ref()) {
+            let _ = newest.has_samples();
+        }
         if let Ok(member) = &self.member {
             member.node.try_cleanup_dead_nodes();
             fail_point!("stream.cleaned");

@@ -26,7 +26,7 @@ pub use self::{
     note::{Info, InfoValue, Note, RawNote},
     parameters::{ParameterFault, parse_parameters},
     record::{NoLog, Source},
-    recorder::{Choice, Place, Plan, RecordError, Rule, Tally, record},
+    recorder::{Choice, Place, Plan, RecordError, ReplayReady, Rule, Tally, record},
     schema::Unloggable,
     writer::{Announced, Head, Level, Parameter, ParameterValue, SeriesId, Value, Writer},
 };

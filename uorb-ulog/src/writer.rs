@@ -74,15 +74,35 @@ pub enum Announced {
     NeedsNewFile,
 }
 
-/// How grave a logged text is.
+/// How grave a logged text is, as the Linux kernel counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 #[allow(missing_docs)]
 pub enum Level {
+    Emergency = b'0',
+    Alert = b'1',
+    Critical = b'2',
     Error = b'3',
     Warning = b'4',
+    Notice = b'5',
     Info = b'6',
     Debug = b'7',
+}
+
+impl Level {
+    /// From 0, the gravest, to 7; what is beyond is as 7.
+    pub fn of(severity: u8) -> Self {
+        match severity {
+            0 => Self::Emergency,
+            1 => Self::Alert,
+            2 => Self::Critical,
+            3 => Self::Error,
+            4 => Self::Warning,
+            5 => Self::Notice,
+            6 => Self::Info,
+            _ => Self::Debug,
+        }
+    }
 }
 
 /// A log that is being written.

@@ -46,7 +46,7 @@ impl StreamInfo {
     pub(super) fn new(system: &System, node: &Node, peers: &[PeerInfo]) -> Self {
         let metadata = &node.identity.metadata;
         let Foreigners { subscribers, publishers, dropped } = node.foreigners();
-        let follower = |StreamStatus { entry, pending, lost }| Follower {
+        let follower = |StreamStatus { entry, pending, lost, .. }| Follower {
             process: Process::of(entry.peer, peers),
             depth: entry.depth,
             back_pressure: entry.back_pressure,

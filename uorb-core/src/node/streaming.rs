@@ -58,6 +58,9 @@ pub struct StreamStatus {
     pub pending: u64,
     /// Messages that it has lost.
     pub lost: u64,
+    /// Whether it has begun: what is published from now on is pending, and else
+    /// counted. Before that, the broker alone knows of it.
+    pub has_begun: bool,
 }
 
 /// What of a stream is not a subscription of ours.
@@ -164,6 +167,8 @@ impl Node {
     pub(crate) fn begin_stream(&self, index: usize, generation: u64) {
         self.stream_word(index, 1).store(0, Ordering::Relaxed);
         self.set_received(index, generation);
+        // Pairs with the load in `streams`: who sees it publishes behind `generation`.
+        self.stream_word(index, 2).store(1, Ordering::Release);
     }
 
     pub(crate) fn count_stream_lost(&self, index: usize, lost: u64) {
@@ -188,6 +193,7 @@ impl Node {
         let status = |(index, entry): (usize, Option<StreamEntry>)| {
             Some(StreamStatus {
                 entry: entry?,
+                has_begun: self.stream_word(index, 2).load(Ordering::Acquire) != 0,
                 pending: newest.saturating_sub(self.received(index).load(Ordering::Acquire)),
                 lost: self.stream_word(index, 1).load(Ordering::Relaxed),
             })
@@ -373,6 +379,7 @@ impl Node {
     /// from now.
     pub fn admit_stream(&self, place: u8) {
         self.begin_stream(place.into(), self.newest(self.identity.base));
+        self.stream_word(place.into(), 2).store(0, Ordering::Release);
     }
 
     /// Messages of a dead peer that are committed and may not have been sent.

@@ -51,7 +51,9 @@ impl Files {
                 session.join(format!("log{number:03}.ulg"))
             }
         };
-        let opened = open(&path, matches!(self.place, Place::Dated(_)));
+        // The name that was asked for is that name or none.
+        let may_number = !matches!(self.place, Place::File(_)) || number > 1;
+        let opened = open(&path, may_number);
         if opened.is_ok() {
             self.opened = number;
         }
@@ -79,7 +81,8 @@ fn session(dir: &Path) -> io::Result<PathBuf> {
     unreachable!("there is always one more number")
 }
 
-/// Two files within a second: the second one gets a number, if it may.
+/// Where a file of this name is there already, as of the same second, this one
+/// gets a number, if it may.
 fn open(path: &Path, may_number: bool) -> io::Result<(PathBuf, File)> {
     if let Some(dir) = path.parent().filter(|dir| !dir.as_os_str().is_empty()) {
         fs::create_dir_all(dir)?;

@@ -45,6 +45,8 @@ struct State {
     /// From which of the bytes on they go into another file. None: into the same
     /// one, from its beginning.
     files: Files,
+    /// Not to be waited with.
+    is_urgent: bool,
     has_ended: bool,
     failed: Option<(PathBuf, io::Error)>,
 }
@@ -71,6 +73,12 @@ impl Pipe {
         let mut state = self.shared.state();
         let at = state.bytes.len();
         state.files.push_back((at, None));
+    }
+
+    /// What is in it goes to the kernel at once: a log without its head is none.
+    pub(super) fn hurry(&self) {
+        self.shared.state().is_urgent = true;
+        self.shared.changed.notify_one();
     }
 
     pub(super) fn has_room(&self, bytes: usize) -> bool {
@@ -130,13 +138,16 @@ impl Shared {
         let mut synced = Instant::now();
         loop {
             let state = self.state();
-            let waits =
-                |state: &mut State| state.bytes.len() < WORTH_WRITING_BYTES && !state.has_ended;
+            let waits = |state: &mut State| {
+                let is_much = state.bytes.len() >= WORTH_WRITING_BYTES;
+                !(is_much || state.is_urgent || state.has_ended)
+            };
             let waited = self.changed.wait_timeout_while(state, FLUSH_EVERY, waits);
             let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
             chunk.clear();
             std::mem::swap(&mut state.bytes, &mut chunk);
             let files = std::mem::take(&mut state.files);
+            state.is_urgent = false;
             let has_ended = state.has_ended;
             drop(state);
 
