@@ -95,7 +95,7 @@ pub(crate) fn with_notes() -> Recording {
     recording.record(b'M', &named(&[0], "char[4] boot", b"one "));
     recording.record(b'M', &named(&[1], "char[4] boot", b"more"));
     let id = recording.announce("sensor_accel", 0);
-    let mut message = |timestamp: u64, recording: &mut Recording| {
+    let message = |timestamp: u64, recording: &mut Recording| {
         let accel = SensorAccel { timestamp, ..Default::default() };
         recording.message(id, SensorAccel::LAYOUT, accel.as_bytes());
     };
