@@ -177,6 +177,8 @@ pub(super) fn gather(
             break;
         }
     }
+    // What came between the last look and the end.
+    followed.take(&mut view)?;
     view.lines.forget_before(begun_s);
     if view.lines.are_empty() {
         let (topic, seconds) = (&view.title, args.seconds);
