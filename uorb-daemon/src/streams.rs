@@ -330,6 +330,7 @@ impl Keeper<'_> {
     }
 
     fn clean_up(&mut self) {
+        fail_point!("stream.cleaning");
         // It takes the ports of all who are dead, also of those whose death is not
         // heard of yet: what they have sent outlives them once it is mapped.
         for newest in self.kept.values().filter_map(|kept| kept.newest.as_ref()) {
