@@ -8,7 +8,7 @@
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use nix::fcntl::{Flock, FlockArg};
@@ -37,6 +37,9 @@ const REFUSAL_HOLDS: Duration = Duration::from_secs(600);
 
 /// The program that `tests/foreign/actor.py` is.
 const ACTOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/actor.py");
+
+/// The program that `tests/foreign/exported.py` is.
+const EXPORTED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/exported.py");
 
 /// The program that `tests/foreign/recorded.py` is.
 const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/recorded.py");
@@ -69,6 +72,14 @@ impl Python {
                 None
             }
         }
+    }
+
+    /// Has `exported.py` compare an export with the log, as others read both.
+    /// Returns what it counted.
+    pub fn compare_exported(&self, mode: &str, log: &Path, exported: &Path) -> String {
+        let mut command = Command::new(&self.interpreter);
+        command.args(["-B", EXPORTED, mode]).args([log, exported]).stderr(Stdio::piped());
+        Actor::spawn(command).end().fine()
     }
 
     /// Spawns a program's text as on a shell with this bus, that has `uorb`.

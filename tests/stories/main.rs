@@ -20,6 +20,8 @@ mod crowds;
 mod deaths;
 /// A subscription is a file descriptor: poll(2), epoll, tokio, intervals.
 mod descriptors;
+/// `uorb ulog info` and `uorb export`.
+mod exports;
 /// What the kernel does not give.
 mod faults;
 /// Real flight logs.
@@ -44,6 +46,8 @@ mod model;
 mod modules;
 /// Directories, limits and leftovers.
 mod places;
+/// `uorb plot`.
+mod plots;
 /// `uorb pub`, `info` and `ls`.
 mod publishing;
 /// `uorb record`.
@@ -54,10 +58,14 @@ mod recording_in_need;
 mod recording_ways;
 /// `uorb replay`.
 mod replay;
+/// `uorb replay`, again and again, in part, under other names, and key by key.
+mod replay_ways;
 /// Processes that the broker cannot trust, and a broker in need.
 mod strangers;
 /// Streams: every message, without a copy.
 mod streams;
+/// Programs on a terminal.
+mod terminal;
 /// `uorb top`.
 mod top;
 /// `uorb test`.

@@ -1,19 +1,12 @@
 //! `uorb top`: who publishes how fast, and what is lost.
 
-use std::fs::File;
-use std::io::{Read, Write};
-use std::os::fd::AsFd;
-use std::process::Stdio;
-
-use nix::poll::{PollFd, PollFlags, PollTimeout};
-use nix::pty::openpty;
 use nix::sys::signal::Signal;
-use nix::sys::termios::tcgetattr;
 use serde_json::Value;
 use uorb_msg::{SensorAccel, SensorGyro};
-use uorb_tests::{Bus, Foreigner, PATIENCE, Plain, eventually, program};
+use uorb_tests::{Bus, Foreigner, Plain, eventually, program};
 
 use crate::flight_logs::{FlightLog, logs};
+use crate::terminal::Terminal;
 
 /// One update of `uorb top --json`.
 struct Update(Value);
@@ -248,63 +241,24 @@ fn top_ends_with_the_system_and_with_its_reader() {
     bus.uorb(&["top", "-1"]).failed(&["no broker runs", "uorb start"]);
 }
 
-/// Reads a terminal until this was written on it; None: until nobody has it any
-/// more. Returns all that was.
-fn read_terminal(terminal: &mut File, until: Option<&str>) -> String {
-    let mut seen = Vec::new();
-    let mut bytes = [0; 4_096];
-    loop {
-        let text = String::from_utf8_lossy(&seen).into_owned();
-        if until.is_some_and(|until| text.contains(until)) {
-            return text;
-        }
-        let mut ready = [PollFd::new(terminal.as_fd(), PollFlags::POLLIN)];
-        let timeout = PollTimeout::try_from(PATIENCE).unwrap();
-        assert!(nix::poll::poll(&mut ready, timeout).unwrap() > 0, "no {until:?} in {text:?}");
-        match terminal.read(&mut bytes) {
-            Ok(read) => seen.extend(&bytes[..read]),
-            // EIO: the last one has closed it.
-            Err(_) => return text,
-        }
-    }
-}
-
 #[test]
 fn on_a_terminal_top_is_a_live_view_that_leaves_it_as_it_was() {
     let bus = Bus::start();
     let mut publisher = bus.spawn(&["publish-for-ever", "1"]);
     publisher.expect("advertised");
     for (end, code) in [(Ok("q"), Some(0)), (Ok("\x03"), Some(0)), (Err(Signal::SIGTERM), None)] {
-        let size = nix::pty::Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 };
-        let pty = openpty(&size, None).unwrap();
-        let before = tcgetattr(&pty.slave).unwrap();
-        let own = || Stdio::from(pty.slave.try_clone().unwrap());
-        let mut child = bus
-            .command(&program("uorb"))
-            .args(["top"])
-            .env("TERM", "xterm")
-            .stdin(own())
-            .stdout(own())
-            .stderr(own())
-            .spawn()
-            .unwrap();
-        let mut terminal = File::from(pty.master);
-        let shown = read_terminal(&mut terminal, Some("stamped"));
+        let mut terminal = Terminal::uorb(&bus, &["top"]);
+        let shown = terminal.until("stamped");
         assert!(shown.contains("\x1b[?1049h"), "the other screen");
-        assert_ne!(tcgetattr(&pty.slave).unwrap(), before, "keys are read one by one");
+        assert!(!terminal.is_as_before(), "keys are read one by one");
 
         match end {
-            Ok(key) => terminal.write_all(key.as_bytes()).unwrap(),
-            Err(signal) => {
-                nix::sys::signal::kill(nix::unistd::Pid::from_raw(child.id() as i32), signal)
-                    .unwrap();
-            }
+            Ok(key) => terminal.press(key),
+            Err(signal) => terminal.signal(signal),
         }
 
-        assert_eq!(child.wait().unwrap().code(), code, "{end:?}");
-        assert_eq!(tcgetattr(&pty.slave).unwrap(), before, "{end:?}");
-        drop(pty.slave);
-        let rest = read_terminal(&mut terminal, None);
+        let (ended, rest) = terminal.end();
+        assert_eq!(ended, code, "{end:?}");
         for (what, sequence) in [("the first screen", "\x1b[?1049l"), ("a cursor", "\x1b[?25h")] {
             assert!(rest.contains(sequence), "{end:?}: no {what} in {rest:?}");
         }

@@ -4,7 +4,7 @@
 //! not come to an end, kills it.
 
 use std::io;
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -68,5 +68,12 @@ impl Interrupt {
                 Err(errno) => return Err(errno).context("cannot wait"),
             }
         }
+    }
+}
+
+/// Becomes readable when it comes.
+impl AsFd for Interrupt {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.pipe.as_fd()
     }
 }

@@ -312,7 +312,7 @@ impl Listener<'_> {
 
 /// Copies the next message. None: what was new on a stream is lost, or is still
 /// on its way, and `copy` gives the last message again.
-fn take(subscription: &mut RawSubscription, bytes: &mut Vec<u8>) -> Option<Copied> {
+pub(crate) fn take(subscription: &mut RawSubscription, bytes: &mut Vec<u8>) -> Option<Copied> {
     let before = subscription.last_copied();
     if !subscription.copy(bytes) {
         return None;

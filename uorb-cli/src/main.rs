@@ -11,7 +11,9 @@
 mod completions;
 mod context;
 mod exit;
+mod export;
 mod fields;
+mod flight_log;
 mod info;
 mod interrupt;
 mod listener;
@@ -19,6 +21,7 @@ mod ls;
 mod man;
 mod msg;
 mod nearest;
+mod plot;
 mod print;
 mod publish;
 mod record;
@@ -29,6 +32,7 @@ mod stop;
 mod test;
 mod top;
 mod topics;
+mod ulog;
 mod unreadable;
 
 use std::io::{self, BufWriter, Write};
@@ -57,8 +61,11 @@ Examples:
   uorb info sensor_accel                  fields, publishers, subscribers
   uorb ls /obj                            list the nodes, as `ls /obj` does
   uorb top                                watch how much is published, and lost
+  uorb plot sensor_accel x y z            watch fields over time
   uorb record -o flight.ulg               record a flight log
   uorb replay flight.ulg --speed 4        publish a flight log
+  uorb ulog info flight.ulg               what is in a flight log
+  uorb export flight.ulg --csv            its messages as tables
   uorb msg my_messages                    compile .msg files to C and C++
   uorb stop                               stop the broker
 
@@ -79,6 +86,9 @@ enum Command {
     Pub(publish::Args),
     Record(record::Args),
     Replay(replay::Args),
+    Plot(plot::Args),
+    Export(export::Args),
+    Ulog(ulog::Args),
     Test(test::Args),
     Msg(msg::Args),
     Completions(completions::Args),
@@ -128,6 +138,9 @@ fn run(cli: &Cli, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Man(args) => man::run(args, Cli::command(), out),
         Command::Ls(args) => ls::run(args, &context, out),
         Command::Record(args) => record::run(args, &context),
+        Command::Plot(args) => plot::run(args, &context),
+        Command::Export(args) => export::run(args, out),
+        Command::Ulog(args) => ulog::run(args, out),
         Command::Replay(args) => replay::run(args, &context, out),
     }
 }

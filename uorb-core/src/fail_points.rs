@@ -88,6 +88,7 @@ pub const FAIL_POINTS: &[&str] = &[
     "stream.made",
     "stream.executed",
     "stream.freed",
+    "stream.cleaning",
     "stream.cleaned",
     "end.socket_removed",
     "end.said",

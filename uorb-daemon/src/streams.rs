@@ -307,7 +307,10 @@ impl Keeper<'_> {
             let header = sample.user_header();
             let stamp = (header.publish_time_us, header.publisher);
             kept.node.save_last(header.generation, stamp, sample.payload());
-            debug!("keeps the last message of {}{}", key.0, key.1);
+            debug!(
+                "keeps the last message of {}{}, generation {}",
+                key.0, key.1, header.generation
+            );
         }
     }
 
@@ -327,6 +330,12 @@ impl Keeper<'_> {
     }
 
     fn clean_up(&mut self) {
+        fail_point!("stream.cleaning");
+        // It takes the ports of all who are dead, also of those whose death is not
+        // heard of yet: what they have sent outlives them once it is mapped.
+        for newest in self.kept.values().filter_map(|kept| kept.newest.as_ref()) {
+            let _ = newest.has_samples();
+        }
         if let Ok(member) = &self.member {
             member.node.try_cleanup_dead_nodes();
             fail_point!("stream.cleaned");

@@ -13,6 +13,7 @@
 
 mod format;
 mod log;
+mod note;
 mod parameters;
 mod record;
 mod recorder;
@@ -21,7 +22,8 @@ mod writer;
 
 pub use self::{
     format::FormatFault,
-    log::{Ending, Fault, Message, RecordFault, Series, Told, read},
+    log::{Ending, Fault, Message, RecordFault, Said, Series, Told, read, read_all},
+    note::{Info, InfoValue, Note, RawNote},
     parameters::{ParameterFault, parse_parameters},
     record::{NoLog, Source},
     recorder::{Choice, Place, Plan, RecordError, ReplayReady, Rule, Tally, record},

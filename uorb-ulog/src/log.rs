@@ -15,6 +15,7 @@ use px4_ulog::stream_parser::{DataMessage, LogParser};
 use uorb_core::{Field, FieldType, Layout};
 
 use crate::format::{FormatFault, Formats};
+use crate::note::RawNote;
 use crate::record::{Next, NoLog, Record, Records, Source};
 
 /// A topic instance as the log has it.
@@ -40,6 +41,15 @@ pub enum Told<'a> {
     Series(Series),
     /// A message of one of them.
     Message(Message<'a>),
+}
+
+/// One thing that stands in a log, notes among them.
+#[derive(Debug)]
+pub enum Said<'a> {
+    /// What [`read`] tells.
+    Told(Told<'a>),
+    /// What else there is.
+    Noted(RawNote<'a>),
 }
 
 /// A message as it was logged.
@@ -95,6 +105,8 @@ pub enum RecordFault {
     Kind(u8),
     #[error("a record of type {kind} has {size_bytes} bytes, too few for one")]
     TooShort { kind: char, size_bytes: usize },
+    #[error("{key:?} in a record of type {kind} is not `TYPE NAME` of a type that it may have")]
+    Key { kind: char, key: String },
     #[error("the {0} is not UTF-8")]
     NotText(&'static str),
     #[error(transparent)]
@@ -116,7 +128,8 @@ pub enum RecordFault {
     Parser(String),
 }
 
-/// Tells what is in a log, up to the record that begins at `until_byte`.
+/// Tells the topics and the messages of a log, up to the record that begins at
+/// `until_byte`.
 ///
 /// # Errors
 ///
@@ -125,6 +138,22 @@ pub fn read<E: From<Fault>>(
     source: &mut dyn Source,
     until_byte: u64,
     mut tell: impl FnMut(Told<'_>) -> Result<(), E>,
+) -> Result<Ending, E> {
+    read_all(source, until_byte, |said| match said {
+        Said::Told(told) => tell(told),
+        Said::Noted(_) => Ok(()),
+    })
+}
+
+/// As [`read`], and tells the notes too, as they stand in the file.
+///
+/// # Errors
+///
+/// As [`read`].
+pub fn read_all<E: From<Fault>>(
+    source: &mut dyn Source,
+    until_byte: u64,
+    mut say: impl FnMut(Said<'_>) -> Result<(), E>,
 ) -> Result<Ending, E> {
     let decoded = Cell::new(None);
     let mut on_message = |message: &DataMessage<'_>| decoded.set(Some(message.msg_id));
@@ -138,7 +167,7 @@ pub fn read<E: From<Fault>>(
         parser.consume_bytes(bytes).map_err(|error| at(at_byte, what(error)))
     };
     parse(0, &header)?;
-    tell(Told::Began { timestamp_us: number(&header[8..]) })?;
+    say(Said::Told(Told::Began { timestamp_us: number(&header[8..]) }))?;
     let mut topics = Topics::default();
     let mut is_first = true;
 
@@ -165,6 +194,7 @@ pub fn read<E: From<Fault>>(
             b'B' => {
                 parse(at_byte, record.bytes)?;
                 let offsets = appended_offsets(record.payload());
+                say(Said::Noted(RawNote { at_byte, kind: b'B', payload: record.payload() }))?;
                 records.append(&offsets).map_err(RecordFault::Appended).map_err(fault)?;
             }
             b'F' => {
@@ -183,7 +213,7 @@ pub fn read<E: From<Fault>>(
                     Announced::OtherNumber => parse(at_byte, record.bytes)?,
                     Announced::New(series) => {
                         parse(at_byte, record.bytes)?;
-                        tell(Told::Series(series))?;
+                        say(Said::Told(Told::Series(series)))?;
                     }
                 }
             }
@@ -191,19 +221,22 @@ pub fn read<E: From<Fault>>(
                 topics.fit(&mut record).map_err(fault)?;
                 parse(at_byte, record.bytes)?;
                 if let Some(id) = decoded.take() {
-                    tell(Told::Message(topics.message(id, &record.payload()[2..])))?;
+                    let message = topics.message(id, &record.payload()[2..]);
+                    say(Said::Told(Told::Message(message)))?;
                 }
             }
             // Parameters, log lines and the like, and what a later version of
             // the format may add.
-            kind if kind.is_ascii_uppercase() => {}
+            kind if kind.is_ascii_uppercase() => {
+                say(Said::Noted(RawNote { at_byte, kind, payload: record.payload() }))?;
+            }
             kind => return Err(fault(RecordFault::Kind(kind)).into()),
         }
     }
     Ok(Ending::Whole)
 }
 
-fn at(at_byte: u64, what: RecordFault) -> Fault {
+pub(crate) fn at(at_byte: u64, what: RecordFault) -> Fault {
     Fault::Record { at_byte, what }
 }
 

@@ -41,8 +41,8 @@ const CROWD: usize = 12;
 const HELD_MAX: (usize, usize) = (16, 6);
 
 /// The same for one with an end of a stream, which is connected with all others, and
-/// may have ports whose publications are gone.
-const HELD_ON_STREAM_MAX: (usize, usize) = (72, 44);
+/// with those who died since it looked last.
+const HELD_ON_STREAM_MAX: (usize, usize) = (72, 48);
 
 const TICK: Duration = Duration::from_micros(200);
 
@@ -149,6 +149,14 @@ impl<'n> Era<'n> {
         }
     }
 
+    /// Shows where something is wrong who there is, and the broker's last words.
+    fn show(&self) {
+        self.processes.iter().for_each(|process| eprintln!("{}", process.describe()));
+        let log = std::fs::read_to_string(self.bus.system.log()).unwrap_or_default();
+        let last: Vec<&str> = log.lines().rev().take(60).collect();
+        last.into_iter().rev().for_each(|line| eprintln!("  {line}"));
+    }
+
     /// Waits until something is so. What never comes is a fault. How long it
     /// took, in microseconds.
     fn wait(&mut self, what: &str, mut is_so: impl FnMut(&mut Self) -> bool) -> u64 {
@@ -156,10 +164,7 @@ impl<'n> Era<'n> {
         while !is_so(self) {
             if Instant::now() > deadline {
                 self.fault(format!("it never came: {what}"));
-                self.processes.iter().for_each(|process| eprintln!("{}", process.describe()));
-                let log = std::fs::read_to_string(self.bus.system.log()).unwrap_or_default();
-                let last: Vec<&str> = log.lines().rev().take(30).collect();
-                last.into_iter().rev().for_each(|line| eprintln!("  {line}"));
+                self.show();
                 if std::env::var_os("CHAOS_HOLD").is_some() {
                     eprintln!("held, pid {}", std::process::id());
                     std::thread::sleep(Duration::from_secs(600));
@@ -235,6 +240,9 @@ impl<'n> Era<'n> {
         verdicts.into_iter().for_each(|verdict| self.fault(verdict));
         self.look_at_the_bus(restarted)?;
         let described = format!("{plan:?}");
+        if !self.faults.is_empty() {
+            self.show();
+        }
         self.bury(totals);
         self.next_round();
         totals.rounds += 1;

@@ -13,11 +13,11 @@ use uorb_core::{
 };
 use uorb_tests::{Bus, Stamped, eventually, program};
 
-/// A broker of this build, ready; it may have a place to die at.
-fn start_broker(bus: &mut Bus, fate: Option<&str>) {
+/// A broker of this build, ready; it may have a place to die or to stop at.
+fn start_broker(bus: &mut Bus, fate: Option<(&str, &str)>) {
     let mut command = Command::new(program("uorbd-with-fail-points"));
     command.args(["--ready-fd", "1", "--dir"]).arg(bus.system.base());
-    command.envs(fate.map(|place| ("UORB_DIE_AT", place))).env("UORB_LOG", "debug");
+    command.envs(fate).env("UORB_LOG", "debug");
     command.stdout(Stdio::piped());
     let mut broker = command.spawn().unwrap();
     let mut line = String::new();
@@ -33,8 +33,8 @@ fn publisher(bus: &Bus, topic: &str, fates: &[(&str, &str)]) -> Child {
     command.stdin(Stdio::null()).spawn().unwrap()
 }
 
-fn go_on(process: &Child) {
-    kill(Pid::from_raw(process.id() as i32), Signal::SIGCONT).unwrap();
+fn go_on(pid: u32) {
+    kill(Pid::from_raw(pid as i32), Signal::SIGCONT).unwrap();
 }
 
 /// A large message, of the topic's size.
@@ -43,8 +43,8 @@ fn large(count: u64, metadata: &Metadata) -> Vec<u8> {
     stamped.as_bytes().repeat(metadata.layout.size_bytes as usize / size_of::<Stamped>())
 }
 
-fn is_stopped(process: &Child) -> bool {
-    let stat = std::fs::read_to_string(format!("/proc/{}/stat", process.id())).unwrap();
+fn is_stopped(pid: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
     stat.contains(") T ")
 }
 
@@ -53,7 +53,7 @@ fn a_broker_that_dies_in_a_burial_leaves_no_slot_to_the_dead() {
     let places = ["bury.counted", "bury.rung", "bury.forgotten", "stream.executed"];
     for place in places {
         let mut bus = Bus::without_broker();
-        start_broker(&mut bus, Some(place));
+        start_broker(&mut bus, Some(("UORB_DIE_AT", place)));
         // It keeps the system when all others are dead.
         let _keeper: Subscription<Stamped> = bus.subscribe();
         // The stream is there: its thread gives slots back.
@@ -77,13 +77,13 @@ fn a_process_whose_broker_dies_between_its_welcome_and_its_lock_joins_the_next_o
     let _keeper: Subscription<Stamped> = bus.subscribe();
     let session = bus.session();
     let mut late = publisher(&bus, "stamped", &[("UORB_STOP_AT", "join.welcome")]);
-    eventually("it has its number, and no lock", || is_stopped(&late));
+    eventually("it has its number, and no lock", || is_stopped(late.id()));
     bus.kill_broker();
     start_broker(&mut bus, None);
     // Somebody who may get the number.
     let other = Session::connect_to(&bus.system).unwrap();
 
-    go_on(&late);
+    go_on(late.id());
 
     let peers = || match session.ask(Request::Peers) {
         Ok(Reply::Peers(peers)) => peers,
@@ -110,7 +110,7 @@ fn a_large_message_that_is_on_its_way_is_not_new_yet() {
         while images.updated() {
             assert!(images.copy(&mut bytes));
         }
-        is_stopped(&process)
+        is_stopped(process.id())
     });
     let copied = images.last_copied();
     assert!(copied.is_some_and(|copied| copied.generation.get() < 20));
@@ -118,7 +118,7 @@ fn a_large_message_that_is_on_its_way_is_not_new_yet() {
     let is_new = images.updated();
 
     assert!(!is_new, "there is nothing to copy but what was copied: {copied:?}");
-    go_on(&process);
+    go_on(process.id());
     eventually("it goes on", || images.updated());
     assert!(images.copy(&mut bytes) && images.last_copied() != copied);
     process.kill().unwrap();
@@ -134,7 +134,7 @@ fn two_large_messages_on_their_way_hold_the_third_up_for_a_moment_only() {
     let mut stopped = ["first", "second"].map(|_| {
         let stop = ("UORB_STOP_AT", "publish.committed:1");
         let process = publisher(&bus, "chaos_large", &[stop]);
-        eventually("it stops between its commit and sending", || is_stopped(&process));
+        eventually("it stops between its commit and sending", || is_stopped(process.id()));
         // With the first the topic is there to be followed.
         assert!(images.metadata().is_some());
         process
@@ -165,7 +165,7 @@ fn a_large_message_that_came_late_does_not_replace_the_newest() {
     // The first message of all is sent after the second, by one who dies then.
     let fates = [("UORB_STOP_AT", "publish.committed:1"), ("UORB_DIE_AT", "publish.sent:1")];
     let mut late = publisher(&bus, "chaos_large", &fates);
-    eventually("it stops between its commit and sending", || is_stopped(&late));
+    eventually("it stops between its commit and sending", || is_stopped(late.id()));
     let metadata = keeper.metadata().cloned().unwrap();
     let options = AdvertiseOptions::default();
     let mut ours = RawPublication::advertise(&session, &metadata, options).unwrap();
@@ -176,7 +176,7 @@ fn a_large_message_that_came_late_does_not_replace_the_newest() {
     eventually("the second is kept", || kept() > 0);
     let before = kept();
 
-    go_on(&late);
+    go_on(late.id());
     late.wait().unwrap();
     eventually("what the other sent has been looked at", || kept() > before);
 
@@ -204,4 +204,29 @@ fn a_broker_that_starts_after_a_large_publisher_s_death_holds_nothing_of_it() {
     let pid = bus.running_broker().unwrap();
     let maps = || std::fs::read_to_string(format!("/proc/{pid}/maps")).unwrap();
     eventually("nothing of the dead is mapped", || !maps().contains("(deleted)"));
+}
+
+#[test]
+fn a_large_message_of_one_who_died_while_others_were_cleaned_up_after_is_kept() {
+    let mut bus = Bus::without_broker();
+    // The first time is its start.
+    start_broker(&mut bus, Some(("UORB_STOP_AT", "stream.cleaning:2")));
+    let broker = bus.running_broker().unwrap();
+    let session = bus.session();
+    let fates = [("UORB_STOP_AT", "port.opened:1"), ("UORB_DIE_AT", "publish.sent:3")];
+    let mut late = publisher(&bus, "chaos_large", &fates);
+    eventually("it has a port of which nobody knows", || is_stopped(late.id()));
+    let mut other = publisher(&bus, "stamped", &[("UORB_DIE_AT", "publish.claimed:3")]);
+    other.wait().unwrap();
+    eventually("the broker begins to clean up after the other", || is_stopped(broker));
+    go_on(late.id());
+    late.wait().unwrap();
+
+    go_on(broker);
+
+    let mut newcomer =
+        RawSubscription::subscribe(&session, "chaos_large", Instance::FIRST).unwrap();
+    let mut bytes = Vec::new();
+    eventually("its last message is there", || newcomer.copy(&mut bytes));
+    assert_eq!(newcomer.last_copied().map(|copied| copied.generation.get()), Some(3));
 }

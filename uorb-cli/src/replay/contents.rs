@@ -7,9 +7,10 @@
 use std::collections::HashSet;
 use std::io::SeekFrom;
 
-use uorb_ulog::{Ending, Fault, Series, Source, Told, read};
+use uorb_ulog::{Ending, Fault, Said, Series, Source, Told, read_all};
 
 use super::pace::{Clock, Judge, Judged};
+use crate::flight_log::About;
 
 /// What is in a log.
 #[derive(Debug)]
@@ -25,6 +26,8 @@ pub(super) struct Contents {
     ahead: HashSet<u64>,
     /// Where what is whole ends.
     pub(super) until_byte: u64,
+    /// Dropouts, parameters and the like. They are not for the bus.
+    pub(super) about: About,
     /// How it ends: a fault where the rest cannot be read.
     pub(super) ending: Result<Ending, Fault>,
 }
@@ -38,11 +41,17 @@ impl Contents {
         let mut messages = 0;
         let mut span = Span::default();
         let mut judge = Judge::default();
-        let ending = read::<Fault>(source, u64::MAX, |told| {
-            match told {
-                Told::Began { timestamp_us } => span.began_us = timestamp_us,
-                Told::Series(one) => series.push(one),
-                Told::Message(message) => {
+        let mut about = About::default();
+        let ending = read_all::<Fault>(source, u64::MAX, |said| {
+            match said {
+                Said::Noted(note) => about.add(note),
+                Said::Told(Told::Began { timestamp_us }) => span.begin(timestamp_us),
+                Said::Told(Told::Series(one)) => {
+                    about.begin_data();
+                    series.push(one);
+                }
+                Said::Told(Told::Message(message)) => {
+                    about.pass(&message);
                     if let Some(timestamp_us) = message.timestamp_us {
                         span.add(judge.push(messages, timestamp_us));
                     }
@@ -69,6 +78,7 @@ impl Contents {
                 origin_us: span.origin_us(),
                 ahead: span.ahead,
                 until_byte,
+                about,
                 ending,
             }),
         }
@@ -87,7 +97,7 @@ impl Contents {
 
 /// From when to when the messages of a log are.
 #[derive(Debug, Default)]
-struct Span {
+pub(crate) struct Span {
     began_us: u64,
     /// The first timestamp that is not from before the log began.
     first_us: Option<u64>,
@@ -97,7 +107,12 @@ struct Span {
 }
 
 impl Span {
-    fn add(&mut self, judged: Option<Judged>) {
+    /// Takes the time of the header.
+    pub(crate) fn begin(&mut self, began_us: u64) {
+        self.began_us = began_us;
+    }
+
+    pub(crate) fn add(&mut self, judged: Option<Judged>) {
         let Some(Judged { number, timestamp_us, is_ahead }) = judged else { return };
         if is_ahead {
             self.ahead.insert(number);
@@ -119,7 +134,7 @@ impl Span {
         self.first_us.or(self.oldest_us).unwrap_or(self.began_us)
     }
 
-    fn length_us(&self) -> u64 {
+    pub(crate) fn length_us(&self) -> u64 {
         self.newest_us.map_or(0, |newest_us| newest_us.saturating_sub(self.origin_us()))
     }
 }

@@ -9,6 +9,7 @@
 //! all messages behind it: such a message is published where it stands.
 
 use std::collections::VecDeque;
+use std::fmt;
 use std::str::FromStr;
 use std::time::{Duration, Instant};
 
@@ -43,7 +44,7 @@ impl FromStr for Speed {
 impl Speed {
     /// When a message is due that stands `position_us` behind the beginning.
     /// None: now; `Some(None)`: never.
-    pub(super) fn due(self, start: Instant, position_us: u64) -> Option<Option<Instant>> {
+    fn due(self, start: Instant, position_us: u64) -> Option<Option<Instant>> {
         let Self::Times(times) = self else { return None };
         let after = match times {
             // Exact, however long the log is.
@@ -51,6 +52,106 @@ impl Speed {
             _ => Duration::try_from_secs_f64(position_us as f64 / 1e6 / times),
         };
         Some(after.ok().and_then(|after| start.checked_add(after)))
+    }
+}
+
+impl fmt::Display for Speed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Times(times) => write!(f, "{times}x"),
+            Self::Max => f.write_str("max"),
+        }
+    }
+}
+
+/// The most and the least that the keys make of a speed.
+const TIMES_MAX: f64 = 1_024.0;
+
+/// When messages are due, at a speed that may change on the way.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pace {
+    speed: Speed,
+    is_paused: bool,
+    /// From this moment on the speed holds,
+    since: Instant,
+    /// and this is where in the log we were then.
+    from_us: u64,
+    /// Where the newest message stands that went out.
+    reached_us: u64,
+}
+
+/// When a message is to go out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Due {
+    Now,
+    /// None: after more time than there is.
+    At(Option<Instant>),
+    /// When somebody says so.
+    Paused,
+}
+
+impl Pace {
+    pub(super) fn begin(speed: Speed, is_paused: bool, from_us: u64) -> Self {
+        Self { speed, is_paused, since: Instant::now(), from_us, reached_us: from_us }
+    }
+
+    /// When a message is due that stands here.
+    pub(super) fn due(&self, position_us: u64) -> Due {
+        if self.is_paused {
+            return Due::Paused;
+        }
+        match self.speed.due(self.since, position_us.saturating_sub(self.from_us)) {
+            None => Due::Now,
+            Some(due) => Due::At(due),
+        }
+    }
+
+    /// A message went out that stands here.
+    pub(super) fn reach(&mut self, position_us: u64) {
+        self.reached_us = position_us;
+    }
+
+    /// Goes on from here, as if nothing had been before.
+    pub(super) fn restart(&mut self, from_us: u64) {
+        *self = Self::begin(self.speed, self.is_paused, from_us);
+    }
+
+    /// Where in the log it is now, and from where on another speed will hold.
+    fn settle(&mut self, now: Instant) {
+        if let (Speed::Times(times), false) = (self.speed, self.is_paused) {
+            let passed_us = now.saturating_duration_since(self.since).as_micros() as f64 * times;
+            self.from_us = self.from_us.saturating_add(passed_us as u64);
+        }
+        self.from_us = self.from_us.max(self.reached_us);
+        self.since = now;
+    }
+
+    pub(super) fn pause_or_go_on(&mut self, now: Instant) {
+        self.settle(now);
+        self.is_paused = !self.is_paused;
+    }
+
+    pub(super) fn faster(&mut self, now: Instant) {
+        self.settle(now);
+        if let Speed::Times(times) = self.speed {
+            self.speed = Speed::Times((times * 2.0).min(TIMES_MAX.max(times)));
+        }
+    }
+
+    /// Half as fast; what was as fast as it goes, as it was recorded.
+    pub(super) fn slower(&mut self, now: Instant) {
+        self.settle(now);
+        self.speed = Speed::Times(match self.speed {
+            Speed::Max => 1.0,
+            Speed::Times(times) => (times / 2.0).max(times.min(1.0 / TIMES_MAX)),
+        });
+    }
+}
+
+/// `2x`, `2x, paused`
+impl fmt::Display for Pace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", self.speed, if self.is_paused { ", paused" } else { "" })
     }
 }
 
@@ -81,14 +182,14 @@ impl Clock {
 /// Finds the messages that are ahead of their time: most of those behind them
 /// are earlier, and by far.
 #[derive(Debug, Default)]
-pub(super) struct Judge {
+pub(crate) struct Judge {
     /// Number and timestamp of messages that are not judged yet.
     waiting: VecDeque<(u64, u64)>,
 }
 
 /// What the judge says of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Judged {
+pub(crate) struct Judged {
     pub(super) number: u64,
     pub(super) timestamp_us: u64,
     pub(super) is_ahead: bool,
@@ -96,13 +197,13 @@ pub(super) struct Judged {
 
 impl Judge {
     /// Takes a message, and judges the one that by now has enough behind it.
-    pub(super) fn push(&mut self, number: u64, timestamp_us: u64) -> Option<Judged> {
+    pub(crate) fn push(&mut self, number: u64, timestamp_us: u64) -> Option<Judged> {
         self.waiting.push_back((number, timestamp_us));
         (self.waiting.len() > FOLLOWERS).then(|| self.pop()).flatten()
     }
 
     /// Judges the next of those that are left at the end.
-    pub(super) fn pop(&mut self) -> Option<Judged> {
+    pub(crate) fn pop(&mut self) -> Option<Judged> {
         let (number, timestamp_us) = self.waiting.pop_front()?;
         let is_far_behind = |(_, follower_us): &&(u64, u64)| {
             follower_us.saturating_add(AHEAD_MAX_US) < timestamp_us
@@ -139,6 +240,39 @@ mod tests {
         assert_eq!(due(Speed::Times(0.5), 1_000_000), after(Duration::from_secs(2)));
         assert_eq!(due(Speed::Times(1e-300), 1_000_000), Some(None));
         assert_eq!(due(Speed::Max, 1_000_000), None);
+    }
+
+    #[test]
+    fn a_pause_and_another_speed_hold_from_where_one_is() {
+        let second = Duration::from_secs(1);
+        let mut pace = Pace::begin(Speed::Times(1.0), false, 5_000_000);
+        let start = pace.since;
+        assert_eq!(pace.due(7_000_000), Due::At(Some(start + 2 * second)));
+        pace.faster(start + second);
+        assert_eq!(pace.due(7_000_000), Due::At(Some(start + second + second / 2)));
+        pace.pause_or_go_on(start + second);
+        assert_eq!((pace.due(0), pace.to_string()), (Due::Paused, "2x, paused".into()));
+        // One step was made meanwhile.
+        pace.reach(6_500_000);
+        pace.pause_or_go_on(start + 9 * second);
+        assert_eq!(pace.due(7_000_000), Due::At(Some(start + 9 * second + second / 4)));
+        pace.slower(start + 9 * second);
+        assert_eq!(pace.to_string(), "1x");
+    }
+
+    #[test]
+    fn from_as_fast_as_it_goes_one_slows_down_to_as_it_was() {
+        let mut pace = Pace::begin(Speed::Max, false, 0);
+        assert_eq!(pace.due(u64::MAX), Due::Now);
+        pace.faster(pace.since);
+        assert_eq!(pace.to_string(), "max");
+        pace.reach(3_000_000);
+        pace.slower(pace.since);
+        assert_eq!(pace.due(4_000_000), Due::At(Some(pace.since + Duration::from_secs(1))));
+        (0..100).for_each(|_| pace.slower(pace.since));
+        assert_eq!(pace.to_string(), format!("{}x", 1.0 / 1_024.0));
+        (0..100).for_each(|_| pace.faster(pace.since));
+        assert_eq!(pace.to_string(), "1024x");
     }
 
     #[test]

@@ -99,20 +99,24 @@ impl Era<'_> {
         self.faults.append(&mut accounts.faults);
     }
 
-    /// Whoever outlived many brokers and neighbours has kept nothing of them.
+    /// Whoever outlived many brokers and neighbours has kept nothing of them. Ports
+    /// whose publications are gone linger for a second.
     pub(super) fn look_at_what_survivors_hold(&mut self) {
-        for process in &mut self.processes {
-            if !process.lives() {
-                continue;
-            }
-            let streams = matches!(process.kind, "publisher" | "follower") || is_large(self.topic);
-            let (open_max, mapped_max) = if streams { HELD_ON_STREAM_MAX } else { HELD_MAX };
-            let (open, mapped) = Traces::held_by(process.pid());
-            if open > open_max || mapped > mapped_max {
+        let mut found = Vec::new();
+        self.wait("survivors hold what they need", |era| {
+            let is_large = is_large(era.topic);
+            let held = era.processes.iter_mut().filter_map(|process| {
+                let streams = is_large || matches!(process.kind, "publisher" | "follower");
+                let (open_max, mapped_max) = if streams { HELD_ON_STREAM_MAX } else { HELD_MAX };
+                let (open, mapped) = Traces::held_by(process.lives().then(|| process.pid())?);
                 let kind = process.kind;
-                self.faults.push(format!("a {kind} has {open} descriptors and {mapped} mappings"));
-            }
-        }
+                let is_much = open > open_max || mapped > mapped_max;
+                is_much.then(|| format!("a {kind} has {open} descriptors and {mapped} mappings"))
+            });
+            found = held.collect();
+            found.is_empty()
+        });
+        self.faults.append(&mut found);
     }
 
     /// How many of those who publish to the shared topic have died in this round.
