@@ -7,7 +7,7 @@ use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
 use anyhow::{Context as _, anyhow, bail};
-use uorb_ulog::{Ending, Fault, Source};
+use uorb_ulog::{Ending, Fault, Source, is_match};
 
 pub(crate) use self::about::{About, parameter_json, parameter_text, text_of};
 
@@ -21,16 +21,6 @@ pub(crate) fn open(path: &Path) -> anyhow::Result<Box<dyn Source>> {
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes).with_context(name)?;
     Ok(Box::new(Cursor::new(bytes)))
-}
-
-/// Whether a name matches a pattern, in which `*` stands for any letters.
-pub(crate) fn is_match(pattern: &str, name: &str) -> bool {
-    match pattern.split_once('*') {
-        None => pattern == name,
-        Some((start, rest)) => name.strip_prefix(start).is_some_and(|name| {
-            (0..=name.len()).any(|at| name.is_char_boundary(at) && is_match(rest, &name[at..]))
-        }),
-    }
 }
 
 /// Checks that every pattern is of use: a slip in one is an error, not an empty
@@ -78,26 +68,5 @@ pub(crate) fn ending_of(ended: anyhow::Result<Ending>) -> anyhow::Result<Result<
     match ended {
         Ok(ending) => Ok(Ok(ending)),
         Err(error) => Ok(Err(error.downcast::<Fault>()?)),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_pattern_matches_names() {
-        for (pattern, name, expected) in [
-            ("sensor_accel", "sensor_accel", true),
-            ("sensor_accel", "sensor_accel_fifo", false),
-            ("sensor_*", "sensor_accel", true),
-            ("sensor_*", "vehicle_imu", false),
-            ("*imu*", "vehicle_imu_status", true),
-            ("*_status", "vehicle_imu_status", true),
-            ("*_status", "vehicle_status_flags", false),
-            ("*", "", true),
-        ] {
-            assert_eq!(is_match(pattern, name), expected, "{pattern} {name}");
-        }
     }
 }

@@ -4,37 +4,37 @@
 //! one of a PX4 that this was not built with. Messages go out in the order of
 //! the file and with the bytes of the file: only when they go out is ours.
 
+mod closing;
 mod contents;
 mod followers;
 mod keys;
+mod outlet;
 mod pace;
+mod play;
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
-use serde_json::json;
-use uorb_core::{
-    AdvertiseOptions, Claim, Error, Instance, Metadata, QueueLength, RawPublication, Session,
-    is_topic_name,
-};
-use uorb_ulog::{Ending, Fault, Message, Series, Source, Told, read};
+use uorb_core::{QueueLength, is_topic_name};
+use uorb_ulog::{Ending, Fault, Series, is_match};
 
 pub(crate) use self::contents::Span;
 pub(crate) use self::pace::Judge;
 
 use self::contents::Contents;
 use self::followers::{wait_for_followers, wait_until_received};
-use self::keys::{Key, Keys};
-use self::pace::{Due, Pace, Speed};
+use self::keys::Keys;
+use self::outlet::{Outlet, publications};
+use self::pace::{Pace, Speed};
+use self::play::{Played, Replay};
 use crate::context::Context;
 use crate::exit::Early;
-use crate::flight_log::{check_patterns, is_match, open};
+use crate::flight_log::{check_patterns, open};
 use crate::interrupt::Interrupt;
-use crate::topics::compiled_in;
 
 /// Publish a ULog flight log, at the pace at which it was recorded.
 #[derive(Debug, clap::Args)]
@@ -297,270 +297,8 @@ fn check_remaps(args: &Args, series: &[Series], is_chosen: &[bool]) -> anyhow::R
     Ok(())
 }
 
-/// Where the messages of one series go.
-struct Outlet {
-    publication: RawPublication,
-    /// A message with the padding at its end, which a log does not have.
-    message: Vec<u8>,
-    published: u64,
-}
-
-impl Outlet {
-    /// `topic` is the name under which it is published.
-    fn open(session: &Session, series: &Series, topic: &str, args: &Args) -> anyhow::Result<Self> {
-        let Series { instance, layout, .. } = series;
-        let file = args.file.display();
-        if !is_topic_name(topic) {
-            bail!("{file} has a topic {topic:?}, which is no name for one");
-        }
-        let Some(instance) = Instance::new(*instance) else {
-            bail!("{file} has an instance {instance} of {topic}; a topic has 0 to 9 (--instance)");
-        };
-        let metadata = Metadata {
-            name: topic.to_string().into(),
-            layout: std::borrow::Cow::Owned(layout.clone()),
-            // A log does not say how many messages a topic keeps.
-            queue_length: compiled_in(topic).map_or(QueueLength::ONE, |ours| ours.queue_length),
-        };
-        let options = AdvertiseOptions {
-            claim: Claim::Shared(instance),
-            queue_length: args.queue.map(QueueLength::at_least),
-            ..AdvertiseOptions::default()
-        };
-        let publication =
-            RawPublication::advertise(session, &metadata, options).map_err(|error| {
-                let cure = match error {
-                    Error::LayoutMismatch(_) => format!(
-                        ",\n  or leave it out of the replay with --exclude {0}, or choose \
-                         others with --topic, or publish it as another with --remap {0}=NAME",
-                        series.topic
-                    ),
-                    _ => String::new(),
-                };
-                anyhow!("cannot advertise {topic}{instance}: {error}{cure}")
-            })?;
-        Ok(Self { publication, message: vec![0; layout.size_bytes as usize], published: 0 })
-    }
-}
-
-struct Replay<'a> {
-    args: &'a Args,
-    contents: &'a Contents,
-    /// By the number of the series; None: not to be replayed.
-    outlets: Vec<Option<Outlet>>,
-    bar: ProgressBar,
-    keys: Keys,
-    interrupt: Interrupt,
-    pace: Pace,
-    /// Where each round begins.
-    start_us: u64,
-    /// How far we have come in the log.
-    position_us: u64,
-    /// How much of the log was replayed in the rounds before this one.
-    played_us: u64,
-    /// How often it was begun.
-    rounds: u64,
-}
-
-/// How far a log was replayed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Played {
-    /// To the end of what is whole.
-    ToItsEnd,
-    /// As far as was asked for, by --duration or by a key.
-    AsAsked,
-}
-
-/// Why the reading of a log ends before the log does.
-#[derive(Debug, thiserror::Error)]
-enum Enough {
-    #[error("--duration is over")]
-    Duration,
-    #[error("q was pressed")]
-    Quit,
-}
-
-impl Replay<'_> {
-    /// Plays all rounds.
-    fn play(&mut self, source: &mut dyn Source) -> anyhow::Result<Played> {
-        let mut played = Played::ToItsEnd;
-        for _ in 0..self.args.rounds.unwrap_or(1) {
-            let before = self.published();
-            self.rounds += 1;
-            self.played_us += self.position_us - self.start_us;
-            self.position_us = self.start_us;
-            self.pace.restart(self.start_us);
-            played = match self.publish_all(source) {
-                Ok(()) => Played::ToItsEnd,
-                Err(error) => match error.downcast::<Enough>()? {
-                    Enough::Duration => Played::AsAsked,
-                    Enough::Quit => return Ok(Played::AsAsked),
-                },
-            };
-            if self.published() == before {
-                // Nor would there be anything in the next round.
-                break;
-            }
-        }
-        Ok(played)
-    }
-
-    fn published(&self) -> u64 {
-        self.outlets.iter().flatten().map(|outlet| outlet.published).sum()
-    }
-
-    fn publish_all(&mut self, source: &mut dyn Source) -> anyhow::Result<()> {
-        let end_us =
-            self.args.duration.map(|duration| self.start_us.saturating_add(micros(duration)));
-        let mut clock = self.contents.clock();
-        let mut numbers = 0..;
-        read(source, self.contents.until_byte, |told| {
-            let Told::Message(message) = told else { return Ok(()) };
-            let is_ahead = numbers.next().is_some_and(|number| self.contents.is_ahead(number));
-            let position_us = clock.advance(message.timestamp_us, is_ahead);
-            if position_us < self.start_us {
-                return Ok(());
-            }
-            if end_us.is_some_and(|end_us| position_us >= end_us) {
-                bail!(Enough::Duration);
-            }
-            if self.outlets[message.series].is_none() {
-                return Ok(());
-            }
-            self.wait_for(position_us)?;
-            self.position_us = position_us;
-            self.pace.reach(position_us);
-            self.bar.set_position(position_us);
-            self.publish(message)
-        })?;
-        Ok(())
-    }
-
-    /// Waits until a message may go out that stands here, and does what the keys
-    /// say meanwhile.
-    fn wait_for(&mut self, position_us: u64) -> anyhow::Result<()> {
-        loop {
-            if self.interrupt.has_come() || self.keys.signal().is_some() {
-                bail!(Early::Interrupted);
-            }
-            let until = match self.pace.due(position_us) {
-                Due::Paused => None,
-                Due::At(moment) => moment,
-                Due::Now if !self.keys.is_there() => return Ok(()),
-                Due::Now => Some(Instant::now()),
-            };
-            let now = Instant::now;
-            match self.keys.wait_until(until, &self.interrupt)? {
-                Some(Key::Quit) => bail!(Enough::Quit),
-                Some(Key::PauseOrGoOn) => self.pace.pause_or_go_on(now()),
-                Some(Key::Faster) => self.pace.faster(now()),
-                Some(Key::Slower) => self.pace.slower(now()),
-                Some(Key::Step) if self.pace.due(position_us) == Due::Paused => return Ok(()),
-                Some(Key::Step) => {}
-                None if until.is_some_and(|until| until <= now()) => return Ok(()),
-                None => {}
-            }
-            self.show_pace();
-        }
-    }
-
-    fn show_pace(&self) {
-        self.bar.set_message(format!(" {}", self.pace));
-    }
-
-    fn publish(&mut self, message: Message<'_>) -> anyhow::Result<()> {
-        let Some(outlet) = &mut self.outlets[message.series] else { return Ok(()) };
-        outlet.message[..message.bytes.len()].copy_from_slice(message.bytes);
-        if !self.args.back_pressure {
-            outlet.publication.publish(&outlet.message)?;
-        } else {
-            while let Err(error) = outlet.publication.try_publish(&outlet.message) {
-                match error {
-                    Error::QueueFull { .. } if self.interrupt.has_come() => {
-                        bail!(Early::Interrupted)
-                    }
-                    Error::QueueFull { .. } => std::thread::sleep(QUEUE_FULL_PAUSE),
-                    error => return Err(error.into()),
-                }
-            }
-        }
-        outlet.published += 1;
-        Ok(())
-    }
-
-    /// Says what was published.
-    fn close(
-        &self,
-        took: Duration,
-        is_interrupted: bool,
-        out: &mut dyn Write,
-    ) -> anyhow::Result<()> {
-        let advertised = self.outlets.iter().flatten().count();
-        // A log announces topics too that stay silent. They are on the bus, and
-        // they are not counted here, as no reader of logs counts them.
-        let published: Vec<(&Series, u64)> = (self.contents.series.iter().zip(&self.outlets))
-            .filter_map(|(series, outlet)| Some((series, outlet.as_ref()?.published)))
-            .filter(|&(_, messages)| messages > 0)
-            .collect();
-        let messages: u64 = published.iter().map(|(_, messages)| messages).sum();
-        let topics: BTreeSet<&str> = published.iter().map(|(series, _)| &*series.topic).collect();
-        let (topics, instances) = (topics.len(), published.len());
-        let played_us = self.played_us + (self.position_us - self.start_us);
-        let log_seconds = played_us as f64 / 1e6;
-        let about = &self.contents.about;
-        let seconds = took.as_secs_f64();
-        if self.args.json {
-            let series: Vec<_> = published
-                .iter()
-                .map(|(series, messages)| {
-                    json!({
-                        "topic": series.topic,
-                        "instance": series.instance,
-                        "messages": messages,
-                    })
-                })
-                .collect();
-            let line = json!({
-                "file": self.args.file.to_string_lossy(),
-                "messages": messages,
-                "topics": topics,
-                "instances": instances,
-                "advertised": advertised,
-                "log_seconds": log_seconds,
-                "seconds": seconds,
-                "rounds": self.rounds,
-                "dropouts": about.dropouts.len(),
-                "dropped_ms": about.lost_ms(),
-                "parameter_changes": about.changes.len(),
-                "interrupted": is_interrupted,
-                "whole": matches!(self.contents.ending, Ok(Ending::Whole)),
-                "series": series,
-            });
-            writeln!(out, "{line}")?;
-        } else if !self.args.quiet {
-            writeln!(
-                out,
-                "{messages} messages, {topics} topics, {instances} instances, \
-                 {log_seconds:.1} s of the log in {seconds:.1} s{}",
-                match about.dropouts.len() {
-                    0 => String::new(),
-                    dropouts => format!("; {dropouts} dropouts, {} ms, in it", about.lost_ms()),
-                }
-            )?;
-        }
-        Ok(())
-    }
-}
-
 fn micros(duration: Duration) -> u64 {
     u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
-}
-
-/// How long to wait for room in a follower's queue before one looks again.
-const QUEUE_FULL_PAUSE: Duration = Duration::from_millis(1);
-
-fn publications(outlets: &[Option<Outlet>]) -> impl Iterator<Item = &RawPublication> {
-    outlets.iter().flatten().map(|outlet| &outlet.publication)
 }
 
 /// A bar on a terminal's stderr; nothing where that is none.

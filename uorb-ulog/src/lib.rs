@@ -15,6 +15,7 @@ mod format;
 mod log;
 mod note;
 mod parameters;
+mod pattern;
 mod record;
 mod recorder;
 mod schema;
@@ -25,6 +26,7 @@ pub use self::{
     log::{Ending, Fault, Message, RecordFault, Said, Series, Told, read, read_all},
     note::{Info, InfoValue, Note, RawNote},
     parameters::{ParameterFault, parse_parameters},
+    pattern::is_match,
     record::{NoLog, Source},
     recorder::{Choice, Place, Plan, RecordError, ReplayReady, Rule, Tally, record},
     schema::Unloggable,

@@ -1,7 +1,9 @@
 //! One bus and its rounds: everybody runs, some die, the rest pauses and is
 //! counted.
 
+mod ending;
 mod inspection;
+mod violence;
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -14,10 +16,9 @@ use crate::bus::{Broker, Process, signal};
 use crate::judge::{Judge, Stopped};
 use crate::ledger::{CELLS, Ledger, Phase, Word};
 use crate::noise::Noise;
-use crate::plan::{Deed, Moment, Plan, end_of_a_system};
+use crate::plan::Plan;
 use crate::random::Random;
 use crate::shared_topic;
-use crate::traces::Traces;
 
 /// How long the controller waits for what must come before it calls it missing.
 /// What it took is judged by other means.
@@ -253,103 +254,6 @@ impl<'n> Era<'n> {
         Ok(faults)
     }
 
-    fn act(&mut self, moment: &Moment, totals: &mut Totals) {
-        let Some(whom) = moment.whom else {
-            match moment.deed {
-                Deed::Kill => self.broker.kill(),
-                Deed::Stop => {
-                    if let Some(pid) = self.broker.pid() {
-                        totals.stops += 1;
-                        signal(pid, Signal::SIGSTOP);
-                        self.stopped.push(Stopped::broker(pid));
-                    }
-                }
-            }
-            return;
-        };
-        let living: Vec<usize> =
-            (0..self.processes.len()).filter(|index| self.processes[*index].lives()).collect();
-        if living.is_empty() {
-            return;
-        }
-        let process = &mut self.processes[living[whom as usize % living.len()]];
-        match moment.deed {
-            Deed::Kill => {
-                process.fate = Some("a moment".into());
-                process.kill();
-                totals.kills += 1;
-            }
-            Deed::Stop => {
-                totals.stops += 1;
-                process.was_stopped = true;
-                signal(process.pid(), Signal::SIGSTOP);
-                self.stopped.push(Stopped::process(process));
-            }
-        }
-    }
-
-    /// Everybody who is stopped goes on or dies; who was to die and did not, too;
-    /// and there is a broker again. Whether it is another one.
-    fn end_of_the_violence(&mut self, plan: &Plan, totals: &mut Totals) -> anyhow::Result<bool> {
-        let crowd = self.processes.iter_mut().filter(|process| process.ended.is_none()).count();
-        for process in &mut self.processes {
-            if !process.lives() {
-                continue;
-            }
-            let was_to_die = process.fate.is_some();
-            if was_to_die && process.is_stopped() && !process.was_stopped {
-                totals.stops += 1;
-                process.was_stopped = true;
-                self.stopped.push(Stopped::process(process));
-            }
-            let dies = plan.kills_all
-                || (process.was_stopped && plan.kills_the_stopped)
-                || (was_to_die && (!plan.keeps_survivors || crowd > CROWD));
-            if dies {
-                process.fate.get_or_insert_with(|| "the end".into());
-                process.kill();
-                totals.kills += 1;
-            } else if process.was_stopped {
-                signal(process.pid(), Signal::SIGCONT);
-            }
-        }
-        for stopped in &mut self.stopped {
-            stopped.until_us = now_us();
-            if stopped.is_broker {
-                signal(stopped.pid, Signal::SIGCONT);
-            }
-        }
-        let downs = self.broker.down_us.len();
-        let mut fate = plan.next_broker.as_ref();
-        while !self.broker.runs() {
-            self.broker.start(&self.bus, fate.take())?;
-        }
-        // Its fate may be to die of what the others ask of it.
-        Ok(self.broker.down_us.len() > downs
-            || self
-                .broker
-                .down_us
-                .last()
-                .is_some_and(|down| down.1 == u64::MAX || now_us() - down.1 < 1_000_000))
-    }
-
-    /// A broker whose fate is to die of what it is asked dies now or later, and
-    /// there must always be one.
-    /// And who is to stop where it re-joins stops now: it goes on at once.
-    fn keep_a_broker(&mut self) {
-        for process in self.processes.iter_mut().filter(|process| process.is_to_stop()) {
-            if process.is_stopped() {
-                process.was_stopped = true;
-                signal(process.pid(), Signal::SIGCONT);
-            }
-        }
-        while !self.broker.runs() {
-            if let Err(error) = self.broker.start(&self.bus, None) {
-                return self.fault(format!("{error:#}"));
-            }
-        }
-    }
-
     fn settle(&mut self, restarted: bool) {
         let round = self.round;
         self.wait("newcomers have begun", |era| {
@@ -473,64 +377,5 @@ impl<'n> Era<'n> {
     /// How often the broker died, and where it was told to.
     pub(crate) fn broker_deaths(&self) -> (u64, &[String]) {
         (self.broker.down_us.len() as u64 - 1, &self.broker.died_at)
-    }
-
-    /// Everybody goes, and nothing is left. What was wrong.
-    pub(crate) fn end(mut self, seed: u64, totals: &mut Totals) -> anyhow::Result<Vec<String>> {
-        let fate = end_of_a_system(&mut Random::of_round(seed, self.round));
-        self.broker.replace_the_fated(&self.bus)?;
-        // Who is to die where it re-joins might do it while it is counted.
-        let fated = self.processes.iter_mut().filter(|process| process.fate.is_some());
-        fated.for_each(Process::kill);
-        let mut living = 0;
-        self.wait("all have re-joined", |era| {
-            let connected = era.connected();
-            living = connected.len();
-            connected == era.living()
-        });
-        let status = self.bus.uorb(&["status", "--json"]);
-        let json: Result<serde_json::Value, _> = serde_json::from_str(&status.out);
-        let peers = json.as_ref().ok().and_then(|json| json["peers"].as_array().map(Vec::len));
-        if status.code != 0 || peers != Some(living) {
-            let words = status.words;
-            self.fault(format!("uorb status says {peers:?} processes, not {living}: {words}"));
-        }
-        self.look_at_what_survivors_hold();
-        self.processes.clear();
-        let ours = BTreeSet::from([std::process::id()]);
-        self.wait("the broker knows that all are gone", |era| era.connected() == ours);
-        let broker = self.broker.pid().unwrap_or(0);
-        let mut held = Vec::new();
-        self.wait("the broker holds nothing of the dead", |_| {
-            held = Traces::of_the_dead(broker);
-            held.is_empty()
-        });
-        if !held.is_empty() {
-            self.fault(format!("the broker still holds {held:?}"));
-        }
-        self.keeper = None;
-        self.session = None;
-        if let Some(fate) = fate {
-            self.broker.kill();
-            self.broker.start(&self.bus, Some(&fate))?;
-            let ended = self.broker.stop()?;
-            if ended.success() {
-                self.fault(format!("the broker was to die at {}, and ended", fate.place));
-            }
-            totals.places.extend(fate.place.split(':').next().map(ToString::to_string));
-            self.broker.start(&self.bus, None)?;
-        }
-        let ended = self.broker.stop()?;
-        if !ended.success() {
-            self.fault(format!("the broker ended: {ended}"));
-        }
-        if self.bus.system.dir().exists() {
-            self.fault("the system's directory is left".into());
-        }
-        let left = Traces::of_world(&self.world.prefix);
-        if !left.is_empty() {
-            self.fault(format!("left behind: {left:?}"));
-        }
-        Ok(std::mem::take(&mut self.faults))
     }
 }

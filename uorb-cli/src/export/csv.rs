@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use uorb_core::Layout;
-use uorb_ulog::{Message, Series, Told, read};
+use uorb_ulog::{Message, Series, Told, is_match, read};
 
 use super::{Args, Exported};
 use crate::fields::csv;
 use crate::fields::path::{self, Place};
-use crate::flight_log::{check_patterns, ending_of, is_match, open};
+use crate::flight_log::{check_patterns, ending_of, open};
 
 /// How many bytes of rows are collected before they are written.
 const PENDING_MAX_BYTES: usize = 32 << 20;

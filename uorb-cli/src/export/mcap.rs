@@ -11,13 +11,11 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapResult, WriteOptions, Writer};
-use uorb_ulog::{Message, Said, Series, Told, read_all};
+use uorb_ulog::{Message, Said, Series, Told, is_match, read_all};
 
 use super::cdr::{Schema, encode};
 use super::{Args, Exported};
-use crate::flight_log::{
-    About, check_patterns, ending_of, is_match, open, parameter_text, text_of,
-};
+use crate::flight_log::{About, check_patterns, ending_of, open, parameter_text, text_of};
 
 pub(super) fn export(args: &Args, out: &mut dyn Write) -> anyhow::Result<Exported> {
     let mut source = open(&args.file)?;

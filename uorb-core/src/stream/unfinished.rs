@@ -45,19 +45,11 @@ impl Unfinished {
     /// Removes what was begun a second ago and is not finished. Where nobody has
     /// made a file since the last look, this is two system calls. What was removed.
     pub fn remove(&mut self) -> Vec<PathBuf> {
-        let prefix = self.world.prefix.as_bytes();
-        // Only of this world: the default one's prefix begins those of others, too,
-        // but what follows it is a hash.
-        let is_of_this_world = |path: &Path| {
-            let name = path.file_name().unwrap_or_default().as_encoded_bytes();
-            let hash = name.strip_prefix(prefix).and_then(|rest| rest.get(..HASH_DIGITS + 1));
-            hash.is_some_and(|hash| {
-                hash.ends_with(b"_") && hash[..HASH_DIGITS].iter().all(u8::is_ascii_hexdigit)
-            })
-        };
-        let mut removed =
-            self.memory.remove(|path, file| file.len() == 0 && is_of_this_world(path));
-        removed.extend(self.services.remove(|_, file| is_unfinished_service(file)));
+        let world = &self.world;
+        let mut removed = self.memory.remove(|path, file| file.len() == 0 && is_of(world, path));
+        let is_service =
+            |path: &Path, file: &Metadata| is_unfinished_service(file) && is_of(world, path);
+        removed.extend(self.services.remove(is_service));
         removed
     }
 
@@ -70,6 +62,15 @@ impl Unfinished {
         }
         removed(self.services.find(&|_, file| is_unfinished_service(file)).into_iter())
     }
+}
+
+/// Whether a file is of this world and no other: the default one's prefix begins
+/// those of others, too, but what follows it is a hash.
+fn is_of(world: &World, path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+    let rest = name.strip_prefix(world.prefix.as_bytes()).unwrap_or_default();
+    let digits = rest.iter().take_while(|byte| byte.is_ascii_hexdigit()).count();
+    digits == HASH_DIGITS && matches!(rest.get(digits), Some(b'_' | b'.'))
 }
 
 fn is_unfinished_service(file: &Metadata) -> bool {
