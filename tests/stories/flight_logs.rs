@@ -116,10 +116,16 @@ impl FlightLog {
         fastest.timestamp_us(fastest.count() - 1) - fastest.timestamp_us(0)
     }
 
-    /// The series with the most messages.
+    /// The series with the most messages, of those whose timestamps go on: an old log
+    /// has a topic whose publisher left them 0.
     pub(crate) fn fastest(&self) -> usize {
+        let goes_on = |number: &usize| {
+            let series = &self.series[*number];
+            let last = series.count().saturating_sub(1);
+            last > 0 && series.timestamp_us(last) > series.timestamp_us(0)
+        };
         let count = |number: &usize| self.series[*number].count();
-        (0..self.series.len()).max_by_key(count).expect("it has messages")
+        (0..self.series.len()).filter(goes_on).max_by_key(count).expect("it has messages")
     }
 }
 
