@@ -445,11 +445,11 @@ static void a_callback_is_called_after_each_publish()
 	CHECK_EQUAL(pub.get_instance(), 0);
 
 	for (int n = 1; n <= ROUNDS / 5; n++) {
+		const int before = counting.calls;
 		CHECK(pub.publish(number_s{n}));
-		until([&] { return counting.last == n; });
+		// A call that has not returned yet would take the next message, too.
+		until([&] { return counting.last == n && counting.calls > before; });
 	}
-
-	CHECK(counting.calls >= ROUNDS / 5);
 
 	// None after it is over.
 	counting.unregisterCallback();
