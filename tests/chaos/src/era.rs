@@ -229,6 +229,8 @@ impl<'n> Era<'n> {
         std::thread::sleep(end.saturating_duration_since(Instant::now()));
         let restarted = self.end_of_the_violence(&plan, totals)?;
         self.settle(restarted);
+        // First: the broker keeps the last message of who has just died.
+        self.look_at_the_bus(restarted)?;
         self.count(totals);
         let judge = Judge {
             noise: self.noise,
@@ -239,7 +241,6 @@ impl<'n> Era<'n> {
         let verdicts: Vec<String> =
             self.processes.iter().flat_map(|process| judge.lates(process, began_us)).collect();
         verdicts.into_iter().for_each(|verdict| self.fault(verdict));
-        self.look_at_the_bus(restarted)?;
         let described = format!("{plan:?}");
         if !self.faults.is_empty() {
             self.show();
