@@ -13,12 +13,11 @@ use std::fmt;
 use std::mem::MaybeUninit;
 use std::ptr::NonNull;
 
-use iceoryx2::port::ReceiveError;
-use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::sample::Sample;
 
+use super::inbox::Inbox;
 use super::room::check_room;
-use super::{Ipc, Member, OVERRUN_MAX, UorbHeader, depth_max};
+use super::{Ipc, Member, OVERRUN_MAX, Stream, UorbHeader, depth_max};
 use crate::clock::now_us;
 use crate::error::Error;
 use crate::node::Node;
@@ -28,7 +27,8 @@ use crate::system::System;
 
 /// How long a message may be on its way before it is given up for lost, in
 /// microseconds: a large one whose publisher was stopped before it had sent it,
-/// or one that cannot be told from one that is about to be committed.
+/// one that cannot be told from one that is about to be committed, or any while
+/// there is a publisher to which we are not connected yet.
 const PATIENCE_US: u64 = 10_000;
 
 /// A message on the stream, borrowed.
@@ -36,7 +36,8 @@ type Message = Sample<Ipc, [u8], UorbHeader>;
 
 /// iceoryx2's and our own state of following a stream.
 pub(crate) struct Reader {
-    subscriber: Subscriber<Ipc, [u8], UorbHeader>,
+    inbox: Inbox,
+    stream: Stream,
     /// Which of the node's stream entries is ours.
     index: usize,
     size_bytes: usize,
@@ -56,7 +57,7 @@ pub(crate) struct Reader {
     lost: u64,
 }
 
-// SAFETY: the subscriber and the messages borrowed from it share counters that
+// SAFETY: the inbox and the messages borrowed from it share counters that
 // are not atomic, and nothing that belongs to a thread. All of them are in here,
 // and reached by an exclusive reference only, so by one thread at a time.
 unsafe impl Send for Reader {}
@@ -113,13 +114,11 @@ impl Reader {
             .map_err(|what| Error::stream(&name, what))?;
         let depth = (wish.depth as usize).clamp(1, depth_max(metadata.layout.size_bytes) as usize);
         let overrun = if wish.back_pressure { OVERRUN_MAX } else { 0 };
-        let subscriber = stream
-            .subscriber_builder()
-            .buffer_size(depth + overrun)
-            .create()
+        let inbox = Inbox::open(&stream, depth + overrun)
             .map_err(|why| Error::stream(&name, format!("no queue: iceoryx2 says {why:?}")))?;
         Ok(Self {
-            subscriber,
+            inbox,
+            stream,
             index,
             size_bytes: metadata.layout.size_bytes as usize,
             is_large: metadata.layout.is_large(),
@@ -244,8 +243,11 @@ impl Reader {
             }
         }
         // It may have been sent since we looked there.
-        let sent = self.take_from_stream(node, wanted);
-        Ok(sent.map_or(Place::Nowhere, Place::Here))
+        Ok(match self.take_from_stream(node, wanted) {
+            Some(stamp) => Place::Here(stamp),
+            None if self.inbox.misses_any() && self.is_patient(wanted) => Place::OnItsWay,
+            None => Place::Nowhere,
+        })
     }
 
     fn find_in_node(
@@ -322,14 +324,9 @@ impl Reader {
     #[inline]
     fn receive(&mut self, node: &Node, known: u64) -> Option<(u64, Message)> {
         loop {
-            let sample = match self.subscriber.receive() {
-                Ok(sample) => sample?,
-                // Every publisher that has sent anything has sent something
-                // later than what is wanted, and that is put aside.
-                Err(ReceiveError::ExceedsMaxBorrows) => return None,
-                // A port that is just going, or no memory to map it.
-                Err(ReceiveError::ConnectionFailure(_)) => return None,
-            };
+            // None, too, where every publisher that has sent anything has sent
+            // something later than what is wanted, and that is put aside.
+            let sample = self.inbox.receive(&self.stream)?;
             // Widened from the low 32 bits: it is at most the newest.
             let newest = node.newest(known);
             let behind = (newest as u32).wrapping_sub(sample.user_header().generation);
