@@ -58,9 +58,9 @@ impl Inbox {
         let _ = self.subscriber.has_samples();
     }
 
-    /// Whether there may be a port that it could not connect to.
-    pub(crate) fn misses_any(&self) -> bool {
-        self.unconnected.any()
+    /// Whether there is a port to which it is about to be connected.
+    pub(crate) fn is_connecting(&self) -> bool {
+        self.unconnected.any() && self.unconnected.is_hopeful()
     }
 
     #[cold]
@@ -82,7 +82,9 @@ impl Inbox {
                 .override_sample_preallocation(|_| 1)
                 .set_degradation_handler(Unconnected::default().handler(|_| 0))
                 .create();
-            drop(publisher);
+            if publisher.is_ok() {
+                self.unconnected.forget();
+            }
         }
     }
 }

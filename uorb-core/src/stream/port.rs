@@ -209,9 +209,8 @@ impl Port {
     #[inline]
     pub(crate) fn send(&self, loaned: Loaned, generation: u64, stamp: Stamp) {
         let mut ends = self.ends();
-        if ends.unconnected.any() {
-            ends.connect_again();
-        }
+        // Sending does this, too; but then the message has passed whom it missed.
+        ends.connect();
         let mut sample = ManuallyDrop::into_inner(loaned.sample);
         *sample.user_header_mut() = UorbHeader {
             generation: generation as u32,
@@ -236,19 +235,24 @@ impl Port {
     }
 
     fn update_connections(&self) {
-        let mut ends = self.ends();
-        if ends.unconnected.any() {
-            ends.connect_again();
-        }
-        // What cannot be told now is told at the next send.
-        let _ = ends.publisher.update_connections();
+        self.ends().connect();
     }
 }
 
 impl Ends {
+    /// Connects the port to the subscribers that are new.
+    #[inline]
+    fn connect(&mut self) {
+        // What fails is noted, or else is fatal to the message's sending, too.
+        let _ = self.publisher.update_connections();
+        if self.unconnected.any() {
+            self.connect_again();
+        }
+    }
+
     #[cold]
     fn connect_again(&mut self) {
-        let Self { unconnected, stream, .. } = self;
+        let Self { publisher, unconnected, stream, .. } = self;
         let is_there = |port| {
             let mut is_there = false;
             stream.dynamic_config().list_subscribers(|subscriber| {
@@ -257,14 +261,23 @@ impl Ends {
             });
             is_there
         };
-        if unconnected.is_due(is_there) {
-            // It comes and goes, and the publisher looks again.
-            let subscriber = stream
-                .subscriber_builder()
-                .buffer_size(1)
-                .set_degradation_handler(Unconnected::default().handler(|_| 0))
-                .create();
-            drop(subscriber);
+        while unconnected.any() {
+            if unconnected.is_due(is_there) {
+                // It comes and goes, and the publisher looks again.
+                let subscriber = stream
+                    .subscriber_builder()
+                    .buffer_size(1)
+                    .set_degradation_handler(Unconnected::default().handler(|_| 0))
+                    .create();
+                if subscriber.is_ok() {
+                    unconnected.forget();
+                }
+                drop(subscriber);
+                let _ = publisher.update_connections();
+            } else if !unconnected.is_hopeful() {
+                return;
+            }
+            std::hint::spin_loop();
         }
     }
 }

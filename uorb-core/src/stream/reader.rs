@@ -27,8 +27,7 @@ use crate::system::System;
 
 /// How long a message may be on its way before it is given up for lost, in
 /// microseconds: a large one whose publisher was stopped before it had sent it,
-/// one that cannot be told from one that is about to be committed, or any while
-/// there is a publisher to which we are not connected yet.
+/// or one that cannot be told from one that is about to be committed.
 const PATIENCE_US: u64 = 10_000;
 
 /// A message on the stream, borrowed.
@@ -245,7 +244,7 @@ impl Reader {
         // It may have been sent since we looked there.
         Ok(match self.take_from_stream(node, wanted) {
             Some(stamp) => Place::Here(stamp),
-            None if self.inbox.misses_any() && self.is_patient(wanted) => Place::OnItsWay,
+            None if self.inbox.is_connecting() => Place::OnItsWay,
             None => Place::Nowhere,
         })
     }

@@ -3,8 +3,8 @@
 //! iceoryx2 looks at a new port once. Where connecting fails, because the other is
 //! just being made, or taken down by somebody else, or there is no descriptor
 //! left, it looks again only when some port comes or goes, and what is sent
-//! meanwhile is lost. So each port of ours notes whom it missed, and a little
-//! later, if they are still there, lets a port come and go.
+//! meanwhile is lost. So each port of ours notes whom it missed, and, as long as
+//! they are there, lets a port come and go.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,17 +13,20 @@ use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 
 use crate::clock::now_us;
 
-/// How long after a failure the next try is: twice as long after each that
-/// failed, too. Most obstacles last some microseconds.
-const FIRST_PAUSE_US: u64 = 1_000;
+/// How long it waits after a try that failed; each time twice as long as before.
+/// Most obstacles last some microseconds.
+const FIRST_PAUSE_US: u64 = 100;
 const LONGEST_PAUSE_US: u64 = 1_000_000;
+/// Who is still missed when it would wait longer than this is so for some time: in
+/// the list of ports there are also the dead, as long as nobody cleans up.
+const HOPEFUL_PAUSE_US: u64 = 2_000;
 
 /// Those whom one port has missed.
 #[derive(Debug, Default)]
 pub(super) struct Unconnected {
     noted: Arc<Noted>,
+    /// How long it waits for the next try; 0: there was none.
     pause_us: u64,
-    /// When to try next; 0: nobody is missed.
     due_us: u64,
 }
 
@@ -57,17 +60,22 @@ impl Unconnected {
         self.noted.any.load(Ordering::Relaxed)
     }
 
+    /// Whether it will soon be so, or known to be lasting.
+    pub(super) fn is_hopeful(&self) -> bool {
+        self.pause_us <= HOPEFUL_PAUSE_US
+    }
+
     /// Whether it is time to try again, for one that `is_there` still.
-    #[cold]
     pub(super) fn is_due(&mut self, is_there: impl Fn(u128) -> bool) -> bool {
         self.is_due_at(now_us(), is_there)
     }
 
+    /// The port looks again at all of them: whoever is missed then is noted again.
+    pub(super) fn forget(&self) {
+        self.noted.ports.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
     fn is_due_at(&mut self, now_us: u64, is_there: impl Fn(u128) -> bool) -> bool {
-        if self.due_us == 0 {
-            self.pause_us = FIRST_PAUSE_US;
-            self.due_us = now_us + self.pause_us;
-        }
         if now_us < self.due_us {
             return false;
         }
@@ -75,12 +83,10 @@ impl Unconnected {
         ports.retain(|port| is_there(*port));
         if ports.is_empty() {
             self.noted.any.store(false, Ordering::Relaxed);
-            self.due_us = 0;
+            (self.pause_us, self.due_us) = (0, 0);
             return false;
         }
-        // Whoever is missed again is noted again, and for longer.
-        ports.clear();
-        self.pause_us = (2 * self.pause_us).min(LONGEST_PAUSE_US);
+        self.pause_us = (2 * self.pause_us).clamp(FIRST_PAUSE_US, LONGEST_PAUSE_US);
         self.due_us = now_us + self.pause_us;
         true
     }
@@ -104,42 +110,41 @@ mod tests {
     }
 
     #[test]
-    fn who_is_still_there_is_tried_after_a_pause_that_grows() {
+    fn who_is_still_there_is_tried_at_once_and_after_pauses_that_grow() {
         let mut unconnected = missed();
         let mut now_us = 1;
-        assert!(unconnected.any() && !unconnected.is_due_at(now_us, |port| port == MISSED));
-        let mut pauses = Vec::new();
-        for _ in 0..12 {
+        let (mut pauses, mut hopes) = (Vec::new(), 0);
+        for _ in 0..16 {
             let begin_us = now_us;
+            assert!(unconnected.any());
             while !unconnected.is_due_at(now_us, |port| port == MISSED) {
-                now_us += 500;
+                now_us += 100;
             }
-            pauses.push((now_us - begin_us) / 1_000);
-            // It fails again.
-            unconnected.noted.ports.lock().unwrap().push(MISSED);
+            pauses.push((now_us - begin_us) / 100);
+            hopes += u32::from(unconnected.is_hopeful());
         }
-        assert_eq!(pauses, [1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1_000, 1_000]);
+        let expected =
+            [0, 1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1_024, 2_048, 4_096, 8_192, 10_000];
+        assert_eq!(pauses, expected);
+        assert_eq!(hopes, 5);
     }
 
     #[test]
-    fn who_is_gone_is_forgotten_and_the_next_failure_is_tried_soon() {
+    fn who_is_gone_is_forgotten() {
         let mut unconnected = missed();
         assert!(!unconnected.is_due_at(1, |_| false));
-        assert!(!unconnected.is_due_at(1 + FIRST_PAUSE_US, |_| false));
         assert!(!unconnected.any());
-
-        let again = missed();
-        unconnected.noted = again.noted;
-        assert!(!unconnected.is_due_at(10_000, |_| true));
-        assert!(unconnected.is_due_at(10_000 + FIRST_PAUSE_US, |_| true));
     }
 
     #[test]
-    fn who_was_connected_at_the_second_try_is_forgotten() {
+    fn who_was_connected_at_the_second_try_is_forgotten_and_the_next_is_tried_at_once() {
         let mut unconnected = missed();
-        assert!(!unconnected.is_due_at(1, |_| true));
-        assert!(unconnected.is_due_at(1 + FIRST_PAUSE_US, |_| true));
-        assert!(!unconnected.is_due_at(1 + 3 * FIRST_PAUSE_US, |_| true));
+        assert!(unconnected.is_due_at(1, |_| true));
+        unconnected.forget();
+        assert!(!unconnected.is_due_at(1 + FIRST_PAUSE_US, |_| true));
         assert!(!unconnected.any());
+
+        unconnected.noted = missed().noted;
+        assert!(unconnected.is_due_at(1 + FIRST_PAUSE_US, |_| true));
     }
 }
