@@ -51,11 +51,13 @@ impl Inbox {
 
     /// Maps the ports that are new: what is sent there from now on outlives them.
     pub fn connect(&mut self, stream: &Stream) {
-        if self.unconnected.any() {
-            self.connect_again(stream);
-        }
-        // What cannot be mapped is tried again.
+        // What cannot be mapped is noted.
         let _ = self.subscriber.has_samples();
+        while self.is_connecting() {
+            self.connect_again(stream);
+            let _ = self.subscriber.has_samples();
+            std::hint::spin_loop();
+        }
     }
 
     /// Whether there is a port to which it is about to be connected.

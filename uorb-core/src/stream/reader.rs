@@ -153,12 +153,17 @@ impl Reader {
     }
 
     /// Keeps the message that the subscription begins with: by the time that it
-    /// is asked for, the node may have forgotten it. False: it is not there yet.
-    pub(crate) fn begin(&mut self, node: &Node, generation: u64) -> bool {
-        if let Ok(Place::Here(stamp)) = self.find(node, generation) {
-            self.ahead = Some(Found { generation, stamp });
+    /// is asked for, the node may have forgotten it.
+    pub(crate) fn begin(&mut self, node: &Node, generation: u64) -> Next {
+        match self.find(node, generation) {
+            Ok(Place::Here(stamp)) => {
+                let found = Found { generation, stamp };
+                self.ahead = Some(found);
+                Next::Found(found)
+            }
+            Ok(Place::Nowhere) => Next::AllLost(generation),
+            Ok(Place::OnItsWay) | Err(_) => Next::NotYet,
         }
-        self.ahead.is_some()
     }
 
     /// Looks for the message after `cursor`, or, where that is lost, the next
