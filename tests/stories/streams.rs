@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use nix::sys::signal::Signal;
-use uorb_core::broker_side::Refusal;
+use uorb_core::broker_side::{Refusal, open_stream};
 use uorb_core::{
     Error, Instance, Publication, RawSubscription, Session, StreamOptions, StreamSubscription,
-    depth_max, poll,
+    Topic, World, depth_max, poll,
 };
 use uorb_tests::{Actor, Bus, Image, PATIENCE, Plain, Stamped, eventually, program};
 
@@ -536,4 +536,19 @@ fn a_publisher_that_could_not_connect_to_a_follower_tries_again() {
 
     assert_eq!(received, (0..=100).collect::<Vec<_>>());
     assert_eq!(second.lost(), 0);
+}
+
+#[test]
+fn a_stream_that_is_followed_is_there_for_publishers_when_no_broker_is() {
+    let mut bus = Bus::start();
+    let _follower = bus.stream::<Plain>();
+    bus.kill_broker();
+    let newcomer = World::of(&bus.system).join("newcomer").unwrap();
+    // What the next broker does first.
+    newcomer.node.try_cleanup_dead_nodes();
+
+    let opened =
+        open_stream(&newcomer, &bus.system, &Plain::METADATA, Instance::FIRST, false).map(|_| ());
+
+    assert_eq!(opened, Ok(()));
 }

@@ -17,7 +17,7 @@ use iceoryx2::sample::Sample;
 
 use super::inbox::Inbox;
 use super::room::check_room;
-use super::{Ipc, Member, OVERRUN_MAX, Stream, UorbHeader, depth_max};
+use super::{Events, Ipc, Member, OVERRUN_MAX, Stream, UorbHeader, depth_max};
 use crate::clock::now_us;
 use crate::error::Error;
 use crate::node::Node;
@@ -37,6 +37,9 @@ type Message = Sample<Ipc, [u8], UorbHeader>;
 pub(crate) struct Reader {
     inbox: Inbox,
     stream: Stream,
+    /// Kept so that a publisher finds them, who comes when the broker has died and
+    /// the next one has not made them yet.
+    _events: Events,
     /// Which of the node's stream entries is ours.
     index: usize,
     size_bytes: usize,
@@ -109,7 +112,7 @@ impl Reader {
     ) -> Result<Self, Error> {
         let (metadata, name) = (&node.identity.metadata, node.name());
         check_room(&name, 0)?;
-        let (stream, _) = super::open(member, system, metadata, node.identity.instance, false)
+        let (stream, events) = super::open(member, system, metadata, node.identity.instance, false)
             .map_err(|what| Error::stream(&name, what))?;
         let depth = (wish.depth as usize).clamp(1, depth_max(metadata.layout.size_bytes) as usize);
         let overrun = if wish.back_pressure { OVERRUN_MAX } else { 0 };
@@ -118,6 +121,7 @@ impl Reader {
         Ok(Self {
             inbox,
             stream,
+            _events: events,
             index,
             size_bytes: metadata.layout.size_bytes as usize,
             is_large: metadata.layout.is_large(),
