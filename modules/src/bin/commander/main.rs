@@ -73,7 +73,12 @@ fn command(stop: &Stop, out: &mut impl Write) -> Outcome {
             let Ok(command) = u16::try_from(number) else { continue };
             news.publish_changes(&state, &senses, system_id)?;
             let timestamp = now_us();
-            ack_pub.publish(&VehicleCommandAck { timestamp, command, result, ..Default::default() })?;
+            ack_pub.publish(&VehicleCommandAck {
+                timestamp,
+                command,
+                result,
+                ..Default::default()
+            })?;
         }
         state.go_on(&senses, now_us());
         news.publish_changes(&state, &senses, system_id)?;

@@ -301,8 +301,7 @@ mod tests {
     #[test]
     fn whoever_insists_disarms_in_the_air() {
         let mut state = State { is_armed: true, is_landed: false, ..State::START };
-        let insists =
-            command(VehicleCommand::VEHICLE_CMD_COMPONENT_ARM_DISARM, 0.0, FORCED, 0.0);
+        let insists = command(VehicleCommand::VEHICLE_CMD_COMPONENT_ARM_DISARM, 0.0, FORCED, 0.0);
         assert_eq!(state.obey(&insists, &Senses::default(), 0), ACCEPTED);
         assert!(!state.is_armed);
     }
