@@ -17,7 +17,7 @@
 //! | control | `actuator_armed`, `actuator_controls`, `actuator_controls_0`, `actuator_controls_1`, `actuator_controls_2`, `actuator_controls_3`, `actuator_controls_virtual_fw`, `actuator_controls_virtual_mc`, `ca_trajectory_msg`, `manual_control_setpoint`, `mc_att_ctrl_status`, `offboard_control_mode` |
 //! | setpoints | `position_setpoint`, `position_setpoint_triplet`, `vehicle_local_position_setpoint`, `vehicle_attitude_setpoint`, `mc_virtual_attitude_setpoint`, `fw_virtual_attitude_setpoint`, `vehicle_rates_setpoint`, `mc_virtual_rates_setpoint`, `fw_virtual_rates_setpoint` |
 //! | vehicle | `battery_status`, `commander_state`, `cpuload`, `esc_report`, `esc_status`, `home_position`, `mission`, `offboard_mission`, `onboard_mission`, `safety`, `vehicle_command`, `vehicle_command_ack`, `vehicle_land_detected`, `vehicle_status` |
-//! | logging | `log_message`, `logger_status` |
+//! | logging and links | `log_message`, `logger_status`, `mavlink_status` |
 //! | uORB's own tests | `orb_multitest`, `orb_test`, `orb_test_large`, `orb_test_medium`, `orb_test_medium_multi`, `orb_test_medium_queue`, `orb_test_medium_queue_poll`, `orb_test_medium_wrap_around` |
 //!
 //! # A topic of your own

@@ -1,1 +1,22 @@
+//! The bridge between the bus and MAVLink: what the program `mavlink` is made of.
+//!
+//! | | |
+//! |---|---|
+//! | `dialect` | the messages, made of XML |
+//! | `frame`, `signing` | bytes to messages, and what is refused |
+//! | `transport`, `port` | UDP, TCP, serial; the way out |
+//! | `link` | one partner, one thread, one loop |
+//! | `outgoing` | streams of messages, made of topics |
+//! | `incoming` | messages to topics, and answers |
+//! | `followed`, `publications` | the bus, seen from a link |
+
 pub mod dialect;
+pub mod followed;
+pub mod frame;
+pub mod incoming;
+pub mod link;
+pub mod outgoing;
+pub mod port;
+pub mod publications;
+pub mod signing;
+pub mod transport;
