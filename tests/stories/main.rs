@@ -28,6 +28,8 @@ mod faults;
 mod flight_logs;
 /// Programs of another house, which join by iceoryx2.
 mod foreign;
+/// A partner of the MAVLink bridge.
+mod ground_station;
 /// What publish and copy never do.
 mod hot_path;
 /// `uorb msg`, `scripts/install`, and programs in C built with what they make.
@@ -40,6 +42,8 @@ mod layouts;
 mod listening;
 /// Readers of flight logs, of another house.
 mod log_readers;
+/// The MAVLink bridge: links, and what goes out.
+mod mavlink;
 /// A node does what a model of it in plain Rust does.
 mod model;
 /// The modules and `scripts/rc.sensors`.
