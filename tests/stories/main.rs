@@ -14,6 +14,8 @@ mod c_examples;
 mod c_processes;
 /// `uorb start`, `stop` and `status`.
 mod command;
+/// The module `commander`.
+mod commander;
 /// Several processes on one node.
 mod crowds;
 /// Processes that die, brokers that die, systems that end.

@@ -9,6 +9,7 @@
 //! | `outgoing` | streams of messages, made of topics |
 //! | `incoming` | messages to topics, and answers |
 //! | `followed`, `publications` | the bus, seen from a link |
+//! | `parameter_file` | where parameters are kept |
 
 pub mod dialect;
 pub mod followed;
@@ -16,6 +17,7 @@ pub mod frame;
 pub mod incoming;
 pub mod link;
 pub mod outgoing;
+pub mod parameter_file;
 pub mod port;
 pub mod publications;
 pub mod signing;

@@ -16,6 +16,7 @@ use clap::Parser;
 use uorb_core::Session;
 use uorb_mavlink::incoming::Incoming;
 use uorb_mavlink::link::{Link, Settings};
+use uorb_mavlink::parameter_file::{ParameterFile, ParameterFileError};
 use uorb_mavlink::signing::signing;
 use uorb_mavlink::transport;
 use uorb_modules::{Outcome, Stop, run};
@@ -30,6 +31,8 @@ Examples:
   mavlink start -d /dev/ttyUSB0 -b 57600 -m minimal
   mavlink start -u 14556 -m custom -- --tcp-listen 5760 -m onboard
                                        two links in one process
+  mavlink start --parameters vehicle.params
+                                       what PARAM_SET changes is kept there
   mavlink start --signing-key key      both sides have the key, or are not heard
   mavlink status
   mavlink stop
@@ -97,7 +100,7 @@ fn bridge(links: Vec<LinkOptions>, stop: &Stop, out: &mut impl Write) -> Outcome
     for (number, options) in links.iter().enumerate() {
         let link = open(&session, number, options)?;
         writeln!(out, "[mavlink] {}", link.describe())?;
-        let incoming = Incoming::new(&link)?;
+        let incoming = Incoming::new(&link, number, parameter_file(&session, options)?);
         opened.push((link, incoming));
     }
     out.flush()?;
@@ -112,6 +115,17 @@ fn bridge(links: Vec<LinkOptions>, stop: &Stop, out: &mut impl Write) -> Outcome
             Err(_) => Err("a link's thread panicked".into()),
         })
     })
+}
+
+/// Where a link's parameters are kept. That it makes sense is known at once.
+fn parameter_file(
+    session: &Session,
+    options: &LinkOptions,
+) -> Result<ParameterFile, ParameterFileError> {
+    let path = options.parameters.clone();
+    let file =
+        ParameterFile::new(path.unwrap_or_else(|| session.system().dir().join("parameters")));
+    file.read().map(|_| file)
 }
 
 /// Opens a link. Its number is in its signatures.

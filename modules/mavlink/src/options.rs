@@ -80,6 +80,12 @@ pub(crate) struct LinkOptions {
     /// file: 64 hexadecimal digits
     #[arg(long, value_name = "FILE")]
     pub(crate) signing_key: Option<PathBuf>,
+
+    /// Keep parameters in this file, `NAME VALUE` a line, or QGroundControl's
+    /// .params [default: the file parameters in the system's directory, which
+    /// goes with the system]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) parameters: Option<PathBuf>,
 }
 
 impl LinkOptions {
