@@ -30,7 +30,7 @@ mod faults;
 mod flight_logs;
 /// Programs of another house, which join by iceoryx2.
 mod foreign;
-/// The other end of a link of the MAVLink bridge.
+/// A partner of the MAVLink bridge.
 mod ground_station;
 /// What publish and copy never do.
 mod hot_path;
@@ -44,6 +44,8 @@ mod layouts;
 mod listening;
 /// Readers of flight logs, of another house.
 mod log_readers;
+/// The MAVLink bridge: links, and what goes out.
+mod mavlink;
 /// The MAVLink bridge: what comes in.
 mod mavlink_commands;
 /// A node does what a model of it in plain Rust does.

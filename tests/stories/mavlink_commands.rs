@@ -12,7 +12,7 @@ use uorb_msg::{
 };
 use uorb_tests::{Bus, PATIENCE, eventually};
 
-use crate::ground_station::GroundStation;
+use super::ground_station::GroundStation;
 
 /// Values of MAV_RESULT.
 const ACCEPTED: u8 = 0;

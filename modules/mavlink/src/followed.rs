@@ -4,6 +4,7 @@
 //! each field by its name: those that the publisher does not have are 0.
 
 use std::fmt;
+use std::time::Duration;
 
 use uorb_core::zerocopy::{FromZeros, IntoBytes};
 use uorb_core::{Error, Instance, Layout, RawSubscription, Session, Topic};
@@ -42,10 +43,23 @@ impl<T: Topic> Followed<T> {
         Self::instance(session, Instance::FIRST)
     }
 
+    /// Looks at instance 0 now and then: what is not looked at is not lost.
+    pub fn sampled(session: &Session) -> Self {
+        Self::sampled_instance(session, Instance::FIRST)
+    }
+
+    /// Looks at an instance now and then.
+    pub fn sampled_instance(session: &Session, instance: Instance) -> Self {
+        let mut followed = Self::instance(session, instance);
+        if let Some(raw) = &mut followed.raw {
+            raw.set_interval(Duration::from_micros(1));
+        }
+        followed
+    }
+
     /// Follows an instance.
-    pub fn instance(session: &Session, instance: Instance) -> Self {
-        let raw = RawSubscription::subscribe(session, &T::METADATA.name, instance)
-            .and_then(|raw| raw.open_descriptor().map(|()| raw));
+    fn instance(session: &Session, instance: Instance) -> Self {
+        let raw = RawSubscription::subscribe(session, &T::METADATA.name, instance);
         Self {
             raw: raw.map_err(|error: Error| say(&error)).ok(),
             session: session.clone(),
@@ -59,6 +73,16 @@ impl<T: Topic> Followed<T> {
     /// Does not show what this process has published itself.
     pub fn of_others(mut self) -> Self {
         self.skips_own = true;
+        self
+    }
+
+    /// With a descriptor to wait on. Without one left it is not followed.
+    pub fn with_descriptor(mut self) -> Self {
+        let opened = self.raw.as_ref().map_or(Ok(()), RawSubscription::open_descriptor);
+        if let Err(error) = opened {
+            say(&error);
+            self.raw = None;
+        }
         self
     }
 

@@ -182,3 +182,76 @@ pub(crate) fn split(arguments: impl Iterator<Item = OsString>) -> Vec<Vec<OsStri
     }
     parts
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        link: LinkOptions,
+    }
+
+    fn link(line: &str) -> LinkOptions {
+        Line::parse_from(["mavlink"].into_iter().chain(line.split_whitespace())).link
+    }
+
+    fn udp(local: &str, remote: &str) -> Address {
+        Address::Udp { local: local.parse().unwrap(), remote: remote.parse().unwrap() }
+    }
+
+    #[test]
+    fn without_words_it_is_the_pair_of_links_of_a_simulated_vehicle() {
+        let pair = link("").pair(0);
+        let addresses: Vec<_> = pair.iter().map(|link| link.address().unwrap()).collect();
+        let station = udp("127.0.0.1:18570", "127.0.0.1:14550");
+        assert_eq!(addresses, [station, udp("127.0.0.1:14580", "127.0.0.1:14540")]);
+        assert_eq!((pair[0].mode, pair[1].mode), (Mode::Normal, Mode::Onboard));
+
+        let third = link("").pair(2);
+        let addresses: Vec<_> = third.iter().map(|link| link.address().unwrap()).collect();
+        let station = udp("127.0.0.1:18572", "127.0.0.1:14550");
+        assert_eq!(addresses, [station, udp("127.0.0.1:14582", "127.0.0.1:14542")]);
+    }
+
+    #[test]
+    fn px4_s_words_mean_what_they_mean_there() {
+        let one = link("-u 14556 -o 14557 -t 10.0.0.7 --bind 0.0.0.0 -m onboard -r 20000");
+        assert_eq!(one.address().unwrap(), udp("0.0.0.0:14556", "10.0.0.7:14557"));
+        assert_eq!((one.mode, one.data_rate()), (Mode::Onboard, 20_000));
+        assert!(!one.has_no_way() && link("-m onboard -i 3").has_no_way());
+
+        let serial = link("-d /dev/ttyS1 -b 115200");
+        let device = PathBuf::from("/dev/ttyS1");
+        assert_eq!(serial.address().unwrap(), Address::Serial { device, baud: 115_200 });
+        assert_eq!(serial.data_rate(), 5_760);
+        assert_eq!(link("-d /dev/ttyS1").data_rate(), 2_880);
+    }
+
+    #[test]
+    fn nothing_listens_beyond_this_machine_unless_told() {
+        let words = link("-u 1 -t 192.168.1.5").address().unwrap_err();
+        assert!(words.contains("--bind 0.0.0.0"), "{words}");
+        let Address::TcpListen(local) = link("--tcp-listen 5760").address().unwrap() else {
+            panic!("it listens")
+        };
+        assert!(local.ip().is_loopback());
+    }
+
+    #[test]
+    fn vehicles_are_numbered_from_1_in_mavlink() {
+        assert_eq!(link("").system_id(0), Ok(1));
+        assert_eq!(link("-i 249").system_id(0), Ok(250));
+        assert!(link("").system_id(250).is_err());
+    }
+
+    #[test]
+    fn links_are_parted_by_two_dashes() {
+        let line = "mavlink -u 1 -- -u 2 -m onboard".split(' ').map(OsString::from);
+        let parts = split(line);
+        assert_eq!(parts[0], ["mavlink", "-u", "1"]);
+        assert_eq!(parts[1], ["mavlink", "-u", "2", "-m", "onboard"]);
+    }
+}

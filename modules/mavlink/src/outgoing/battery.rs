@@ -15,12 +15,12 @@ const BATTERIES_MAX: usize = 4;
 
 fn follow_batteries(session: &Session) -> Vec<Followed<BatteryStatus>> {
     let instances = Instance::all().take(BATTERIES_MAX);
-    instances.map(|instance| Followed::instance(session, instance)).collect()
+    instances.map(|instance| Followed::sampled_instance(session, instance)).collect()
 }
 
 pub(super) fn sys_status(session: &Session) -> Box<dyn Source> {
-    let mut status = Followed::<VehicleStatus>::new(session);
-    let mut load = Followed::<Cpuload>::new(session);
+    let mut status = Followed::<VehicleStatus>::sampled(session);
+    let mut load = Followed::<Cpuload>::sampled(session);
     let mut batteries = follow_batteries(session);
     on_clock(move |send| {
         let batteries = batteries.iter_mut().filter_map(Followed::copy);

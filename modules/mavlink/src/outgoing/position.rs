@@ -32,7 +32,7 @@ fn local_message(position: &VehicleLocalPosition) -> LOCAL_POSITION_NED_DATA {
 }
 
 pub(super) fn global(session: &Session) -> Box<dyn Source> {
-    let mut home = Followed::<HomePosition>::new(session);
+    let mut home = Followed::<HomePosition>::sampled(session);
     on_update(Followed::<VehicleGlobalPosition>::new(session), move |position, send| {
         send(MavMessage::GLOBAL_POSITION_INT(global_message(&position, home.copy())));
     })
@@ -57,10 +57,10 @@ fn global_message(
 }
 
 pub(super) fn altitude(session: &Session) -> Box<dyn Source> {
-    let mut local = Followed::<VehicleLocalPosition>::new(session);
-    let mut global = Followed::<VehicleGlobalPosition>::new(session);
-    let mut home = Followed::<HomePosition>::new(session);
-    let mut sensors = Followed::<SensorCombined>::new(session);
+    let mut local = Followed::<VehicleLocalPosition>::sampled(session);
+    let mut global = Followed::<VehicleGlobalPosition>::sampled(session);
+    let mut home = Followed::<HomePosition>::sampled(session);
+    let mut sensors = Followed::<SensorCombined>::sampled(session);
     on_clock(move |send| {
         let (local, sensors) = (local.copy(), sensors.copy());
         if local.is_some() || sensors.is_some() {
@@ -96,10 +96,10 @@ fn altitude_message(
 }
 
 pub(super) fn hud(session: &Session) -> Box<dyn Source> {
-    let mut armed = Followed::<ActuatorArmed>::new(session);
-    let mut controls = Followed::<ActuatorControls0>::new(session);
-    let mut airspeed = Followed::<Airspeed>::new(session);
-    let mut sensors = Followed::<SensorCombined>::new(session);
+    let mut armed = Followed::<ActuatorArmed>::sampled(session);
+    let mut controls = Followed::<ActuatorControls0>::sampled(session);
+    let mut airspeed = Followed::<Airspeed>::sampled(session);
+    let mut sensors = Followed::<SensorCombined>::sampled(session);
     on_update(Followed::<VehicleLocalPosition>::new(session), move |local, send| {
         let is_armed = armed.copy().is_some_and(|armed| armed.armed.into());
         let controls = controls.copy().filter(|_| is_armed);
@@ -130,7 +130,7 @@ fn hud_message(
 }
 
 pub(super) fn home(session: &Session) -> Box<dyn Source> {
-    let mut home = Followed::<HomePosition>::new(session);
+    let mut home = Followed::<HomePosition>::sampled(session);
     on_clock(move |send| {
         if let Some(home) = home.copy() {
             send(MavMessage::HOME_POSITION(home_message(&home)));

@@ -9,7 +9,7 @@ use crate::dialect::{GPS_RAW_INT_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags,
 use crate::followed::Followed;
 
 pub(super) fn highres_imu(session: &Session) -> Box<dyn Source> {
-    let mut baro = Followed::<SensorBaro>::new(session);
+    let mut baro = Followed::<SensorBaro>::sampled(session);
     on_update(Followed::<SensorCombined>::new(session), move |sensors, send| {
         send(MavMessage::HIGHRES_IMU(imu_message(&sensors, baro.copy())));
     })

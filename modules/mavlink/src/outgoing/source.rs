@@ -57,7 +57,7 @@ pub(super) fn on_update<T: Topic + 'static>(
     lead: Followed<T>,
     compose: impl FnMut(T::Message, Send<'_>) + std::marker::Send + 'static,
 ) -> Box<dyn Source> {
-    Box::new(OnUpdate { lead, compose })
+    Box::new(OnUpdate { lead: lead.with_descriptor(), compose })
 }
 
 /// Sends at the rate, whatever is new.

@@ -22,8 +22,8 @@ use crate::followed::Followed;
 const MAVLINK_VERSION: u8 = 3;
 
 pub(super) fn heartbeat(session: &Session) -> Box<dyn Source> {
-    let mut status = Followed::<VehicleStatus>::new(session);
-    let mut armed = Followed::<ActuatorArmed>::new(session);
+    let mut status = Followed::<VehicleStatus>::sampled(session);
+    let mut armed = Followed::<ActuatorArmed>::sampled(session);
     on_clock(move |send| {
         send(MavMessage::HEARTBEAT(heartbeat_message(status.copy(), armed.copy())));
     })
@@ -83,9 +83,9 @@ fn system_status(is_known: bool, status: &VehicleStatus, armed: &ActuatorArmed) 
 }
 
 pub(super) fn extended(session: &Session) -> Box<dyn Source> {
-    let mut status = Followed::<VehicleStatus>::new(session);
-    let mut landed = Followed::<VehicleLandDetected>::new(session);
-    let mut triplet = Followed::<PositionSetpointTriplet>::new(session);
+    let mut status = Followed::<VehicleStatus>::sampled(session);
+    let mut landed = Followed::<VehicleLandDetected>::sampled(session);
+    let mut triplet = Followed::<PositionSetpointTriplet>::sampled(session);
     on_clock(move |send| {
         let (status, landed) = (status.copy(), landed.copy());
         if status.is_some() || landed.is_some() {
