@@ -12,7 +12,6 @@ pub mod parameters;
 pub mod setpoints;
 pub mod simulator;
 pub mod sticks;
-mod trajectory;
 
 use mavlink_core::Message;
 use uorb_core::{RawSubscription, now_us};
@@ -25,6 +24,7 @@ use uorb_msg::{
 use crate::dialect::MavMessage;
 use crate::frame::Packet;
 use crate::link::Link;
+use crate::ours;
 use crate::parameter_file::ParameterFile;
 
 use commands::Commands;
@@ -142,8 +142,7 @@ fn publish(link: &mut Link, message: &MavMessage, now_us: u64) {
         MavMessage::HIL_GPS(message) => {
             topics.publish_multi::<VehicleGpsPosition>(&simulator::hil_gps(message, now_us));
         }
-        MavMessage::CA_TRAJECTORY_MSG(message) => trajectory::receive(link, message),
-        _ => {}
+        message => ours::receive(link, message, now_us),
     }
 }
 

@@ -8,6 +8,7 @@
 //! | `link` | one partner, one thread, one loop |
 //! | `outgoing` | streams of messages, made of topics |
 //! | `incoming` | messages to topics, and answers |
+//! | `ours` | messages of our own, a line each |
 //! | `followed`, `publications` | the bus, seen from a link |
 //! | `parameter_file` | where parameters are kept |
 
@@ -16,6 +17,7 @@ pub mod followed;
 pub mod frame;
 pub mod incoming;
 pub mod link;
+mod ours;
 pub mod outgoing;
 pub mod parameter_file;
 pub mod port;

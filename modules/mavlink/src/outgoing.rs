@@ -14,11 +14,10 @@ mod battery;
 mod modes;
 mod position;
 mod sensors;
-mod source;
+pub(crate) mod source;
 mod state;
-mod table;
+pub(crate) mod table;
 mod text;
-mod trajectory;
 
 use std::fmt;
 use std::os::fd::{AsFd, BorrowedFd};
@@ -29,6 +28,7 @@ use uorb_core::{RawSubscription, Session};
 pub use self::modes::custom_mode;
 use self::source::Source;
 pub use self::table::{Mode, Rate, STREAMS, StreamDefinition};
+use crate::ours;
 use crate::port::Port;
 
 /// The least part of their rates that streams keep, however slow the link is.
@@ -75,7 +75,7 @@ impl fmt::Debug for Streams {
 
 impl Streams {
     pub(crate) fn new(session: &Session, mode: Mode, data_rate: u32) -> Self {
-        let all = STREAMS.iter().map(|definition| {
+        let all = STREAMS.iter().chain(ours::STREAMS).map(|definition| {
             let rate = definition.rate(mode);
             Stream {
                 definition,

@@ -6,10 +6,10 @@ use crate::dialect::MavMessage;
 use crate::followed::Followed;
 
 /// Where a stream's messages go.
-pub(super) type Send<'a> = &'a mut dyn FnMut(MavMessage);
+pub(crate) type Send<'a> = &'a mut dyn FnMut(MavMessage);
 
 /// Makes messages of topics.
-pub(super) trait Source: std::marker::Send {
+pub(crate) trait Source: std::marker::Send {
     /// The topic whose updates are sent. None: the stream goes by the clock.
     fn lead(&mut self) -> Option<&mut RawSubscription>;
 
@@ -53,7 +53,7 @@ impl<F: FnMut(Send<'_>) + std::marker::Send> Source for OnClock<F> {
 }
 
 /// Sends each update of `lead`, as often as the rate allows.
-pub(super) fn on_update<T: Topic + 'static>(
+pub(crate) fn on_update<T: Topic + 'static>(
     lead: Followed<T>,
     compose: impl FnMut(T::Message, Send<'_>) + std::marker::Send + 'static,
 ) -> Box<dyn Source> {
@@ -61,7 +61,7 @@ pub(super) fn on_update<T: Topic + 'static>(
 }
 
 /// Sends at the rate, whatever is new.
-pub(super) fn on_clock(
+pub(crate) fn on_clock(
     compose: impl FnMut(Send<'_>) + std::marker::Send + 'static,
 ) -> Box<dyn Source> {
     Box::new(OnClock(compose))

@@ -6,7 +6,7 @@
 use uorb_core::Session;
 
 use super::source::Source;
-use super::{attitude, battery, position, sensors, state, text, trajectory};
+use super::{attitude, battery, position, sensors, state, text};
 
 /// What a link is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -46,7 +46,7 @@ pub struct StreamDefinition {
     custom: Rate,
     /// Whether its rate gives way on a slow link.
     pub(super) is_scaled: bool,
-    pub(super) make: fn(&Session) -> Box<dyn Source>,
+    pub(crate) make: fn(&Session) -> Box<dyn Source>,
 }
 
 impl std::fmt::Debug for StreamDefinition {
@@ -68,7 +68,7 @@ impl StreamDefinition {
 }
 
 /// In the order of a mode's rates: normal, onboard, minimal.
-const fn stream(
+pub(crate) const fn stream(
     name: &'static str,
     message_id: u32,
     [normal, onboard, minimal]: [Rate; 3],
@@ -92,7 +92,8 @@ const fn always(
     }
 }
 
-/// All streams. Where two are due at once, the one that stands first goes first.
+/// The streams of MAVLink's own messages; `ours.rs` has those of ours. Where two
+/// are due at once, the one that stands first goes first.
 #[rustfmt::skip]
 pub static STREAMS: &[StreamDefinition] = &[
     //                                 normal     onboard    minimal
@@ -111,7 +112,6 @@ pub static STREAMS: &[StreamDefinition] = &[
     stream("EXTENDED_SYS_STATE", 245,  [Hz(1.0),  Hz(5.0),   Hz(0.1)],  state::extended),
     stream("HOME_POSITION", 242,       [Hz(0.5),  Hz(0.5),   Hz(0.1)],  position::home),
     stream("SYSTEM_TIME", 2,           [Off,      Hz(1.0),   Off],      state::system_time),
-    stream("CA_TRAJECTORY_MSG", 24166, [Every,    Every,     Off],      trajectory::ca_trajectory),
     stream("AUTOPILOT_VERSION", 148,   [Off,      Off,       Off],      state::autopilot_version),
 ];
 
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn every_stream_has_its_message_s_name_and_number() {
-        for stream in STREAMS {
+        for stream in STREAMS.iter().chain(crate::ours::STREAMS) {
             let id = MavMessage::message_id_from_name(stream.name);
             assert_eq!(id, Some(stream.message_id), "{}", stream.name);
         }
