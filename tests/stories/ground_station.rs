@@ -5,8 +5,8 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
 use mavlink_core::{MAVLinkV2MessageRaw, MavHeader, MavlinkVersion, Message};
-use uorb_mavlink::dialect::{HEARTBEAT_DATA, MavMessage};
-use uorb_tests::{Actor, PATIENCE};
+use uorb_mavlink::dialect::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavMessage, PING_DATA};
+use uorb_tests::{Actor, Bus, PATIENCE};
 
 /// Our number: that of ground stations.
 const GROUND_STATION: MavHeader = MavHeader { system_id: 255, component_id: 190, sequence: 0 };
@@ -104,6 +104,63 @@ impl GroundStation {
         }
         self.socket.set_read_timeout(Some(PATIENCE)).expect("a time");
         all
+    }
+}
+
+/// Commands, and what else is asked.
+impl GroundStation {
+    /// Starts a bridge with one link, and speaks to it.
+    pub(crate) fn with_bridge(bus: &Bus, arguments: &[&str]) -> (Self, Actor) {
+        let mut bridge = bus.spawn_heard("mavlink", &[&["-u", "0"], arguments].concat());
+        let station = Self::of(port_of_next_link(&mut bridge));
+        (station, bridge)
+    }
+
+    /// All that the bridge says until it has taken what was sent so far.
+    #[track_caller]
+    pub(crate) fn said_so_far(&mut self) -> Vec<MavMessage> {
+        // Links answer in order.
+        let seq = u32::from(self.sequence);
+        self.send(&MavMessage::PING(PING_DATA { seq, ..PING_DATA::DEFAULT }));
+        let mut said = Vec::new();
+        loop {
+            match self.next().1 {
+                MavMessage::PING(ping) if ping.seq == seq => return said,
+                message => said.push(message),
+            }
+        }
+    }
+
+    /// Sends a command to vehicle 1.
+    pub(crate) fn command(&mut self, command: u16, confirmation: u8, param1: f32, param2: f32) {
+        self.send(&MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+            target_system: 1,
+            target_component: 1,
+            command,
+            confirmation,
+            param1,
+            param2,
+            ..COMMAND_LONG_DATA::DEFAULT
+        }));
+    }
+
+    /// How a command was answered; the answer is addressed to us.
+    #[track_caller]
+    pub(crate) fn result_of(&mut self, command: u16) -> u8 {
+        let ack = self.until(|message| match message {
+            MavMessage::COMMAND_ACK(ack) => Some(ack.clone()),
+            _ => None,
+        });
+        assert_eq!(ack.command, command);
+        assert_eq!((u32::from(ack.target_system), ack.target_component), (255, 190));
+        ack.result
+    }
+
+    /// How many answers to commands are on their way here.
+    #[track_caller]
+    pub(crate) fn answers_so_far(&mut self) -> usize {
+        let said = self.said_so_far();
+        said.iter().filter(|message| matches!(message, MavMessage::COMMAND_ACK(_))).count()
     }
 }
 

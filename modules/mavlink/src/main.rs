@@ -98,9 +98,10 @@ fn bridge(links: Vec<LinkOptions>, stop: &Stop, out: &mut impl Write) -> Outcome
     };
     let mut opened = Vec::new();
     for (number, options) in links.iter().enumerate() {
+        let file = parameter_file(&session, options)?;
         let link = open(&session, number, options)?;
         writeln!(out, "[mavlink] {}", link.describe())?;
-        let incoming = Incoming::new(&link, number, parameter_file(&session, options)?);
+        let incoming = Incoming::new(&link, number, file);
         opened.push((link, incoming));
     }
     out.flush()?;

@@ -133,7 +133,7 @@ pub fn attitude_target(message: &SET_ATTITUDE_TARGET_DATA, now_us: u64) -> Attit
             ..Default::default()
         }
     });
-    let rates = has(IGNORE_BODY_RATES).then(|| VehicleRatesSetpoint {
+    let rates = has(IGNORE_BODY_RATES).then_some(VehicleRatesSetpoint {
         timestamp: now_us,
         roll: message.body_roll_rate,
         pitch: message.body_pitch_rate,

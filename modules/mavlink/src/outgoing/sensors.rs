@@ -53,7 +53,7 @@ fn imu_message(sensors: &SensorCombined, baro: Option<SensorBaro>) -> HIGHRES_IM
         diff_pressure: 0.0,
         pressure_alt: sensors.baro_alt_meter,
         temperature: sensors.baro_temp_celcius,
-        fields_updated: updated.bits() as u16,
+        fields_updated: updated.bits(),
         id: 0,
     }
 }

@@ -38,7 +38,7 @@ fn pieces(words: &LogMessage, id: u16) -> Vec<STATUSTEXT_DATA> {
     };
     let mut pieces: Vec<_> = text.chunks(PIECE_BYTES).enumerate().map(piece).collect();
     // A text ends with a piece that is not full.
-    if is_long && text.len() % PIECE_BYTES == 0 {
+    if is_long && text.len().is_multiple_of(PIECE_BYTES) {
         pieces.push(piece((pieces.len(), &[])));
     }
     pieces
