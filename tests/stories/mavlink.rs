@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use mavlink_core::{MAVLinkV2MessageRaw, MavHeader, Message, SigningConfig, SigningData};
+use mavlink_core::{MAVLinkV2MessageRaw, MavHeader, SigningConfig, SigningData};
 use nix::fcntl::OFlag;
 use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 use uorb_core::{Publication, Session, now_us, topic};
@@ -31,6 +31,29 @@ fn link(bus: &Bus, options: &[&str]) -> (Actor, GroundStation) {
     (bridge, station)
 }
 
+/// Sets a flag when it goes, also when a story fails.
+struct AtEnd<'a>(&'a AtomicBool);
+
+impl Drop for AtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// An attitude of this moment. Without a 0, which MAVLink would not send.
+fn turned() -> VehicleAttitude {
+    let [rollspeed, pitchspeed, yawspeed] = [0.1, 0.2, 0.3];
+    let q = [0.5, 0.5, 0.5, 0.5];
+    VehicleAttitude {
+        timestamp: now_us(),
+        rollspeed,
+        pitchspeed,
+        yawspeed,
+        q,
+        ..Default::default()
+    }
+}
+
 /// Publishes attitudes, 250 a second, while `story` is told.
 fn while_turning<R>(bus: &Bus, story: impl FnOnce() -> R) -> R {
     let system = &bus.system;
@@ -41,15 +64,15 @@ fn while_turning<R>(bus: &Bus, story: impl FnOnce() -> R) -> R {
             let mut attitude = Publication::<VehicleAttitude>::advertise(&session).expect("ours");
             let mut due_us = now_us();
             while !is_over.load(Ordering::Relaxed) {
-                let q = [1.0, 0.0, 0.0, 0.0];
-                let message = VehicleAttitude { timestamp: now_us(), q, ..Default::default() };
-                attitude.publish(&message).expect("published");
+                attitude.publish(&turned()).expect("published");
                 due_us += 4_000;
                 thread::sleep(Duration::from_micros(due_us.saturating_sub(now_us())));
             }
         });
-        let told = story();
-        is_over.store(true, Ordering::Relaxed);
+        let told = {
+            let _over = AtEnd(&is_over);
+            story()
+        };
         turning.join().expect("it turned");
         told
     })
@@ -327,8 +350,10 @@ fn a_flooded_link_disturbs_no_other() {
             }
             sent
         });
-        while_turning(&bus, || attitudes_come_at(&mut station, 15.0));
-        is_over.store(true, Ordering::Relaxed);
+        {
+            let _over = AtEnd(&is_over);
+            while_turning(&bus, || attitudes_come_at(&mut station, 15.0));
+        }
         flood.join().unwrap()
     });
     assert!(sent > 10_000, "a flood: {sent}");
@@ -392,7 +417,8 @@ fn a_trajectory_that_is_published_reaches_the_partner_and_one_that_came_in_does_
     assert_eq!((copied.coefficients, copied.seq_id), (data.coefficients, 7));
     assert!(copied.timestamp > 0, "the bridge stamps it");
 
-    bus.uorb(&["pub", "ca_trajectory_msg", "seq_id=8", "time_start_usec=5"]).fine();
+    let published = bus.uorb(&["pub", "ca_trajectory_msg", "seq_id=8", "time_start_usec=5"]);
+    assert_eq!(published.code, 0, "{}", published.words);
     let sent = station.until(|message| match message {
         MavMessage::CA_TRAJECTORY_MSG(sent) => Some(sent.clone()),
         _ => None,
