@@ -124,11 +124,17 @@ impl<T: Topic> Followed<T> {
     }
 }
 
+/// Names that a field has had in other years.
+const ALIASES: &[(&str, &str)] = &[("yaw", "heading")];
+
 /// The fields that have the same name and type in both layouts.
 fn shared(theirs: &Layout, ours: &Layout) -> Vec<SharedField> {
     let theirs = theirs.flatten();
     let fields = ours.flatten().into_iter().filter_map(|our| {
-        let their = theirs.iter().find(|their| their.path == our.path && their.ty == our.ty)?;
+        let named =
+            |path: &str| theirs.iter().find(|their| their.path == path && their.ty == our.ty);
+        let alias = ALIASES.iter().find(|(name, _)| *name == our.path);
+        let their = named(&our.path).or_else(|| named(alias?.1))?;
         let count = |length: Option<u32>| length.unwrap_or(1);
         let elements = count(their.array_length).min(count(our.array_length));
         Some(SharedField {

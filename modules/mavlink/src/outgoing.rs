@@ -12,6 +12,7 @@
 mod attitude;
 mod battery;
 mod modes;
+mod newer;
 mod position;
 mod sensors;
 pub(crate) mod source;

@@ -3,20 +3,35 @@
 use uorb_core::Session;
 use uorb_msg::VehicleAttitude;
 
+use super::newer::VehicleAngularVelocity;
 use super::source::{Source, on_update};
 use crate::dialect::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, MavMessage};
 use crate::followed::Followed;
 
 pub(super) fn angles(session: &Session) -> Box<dyn Source> {
-    on_update(Followed::<VehicleAttitude>::new(session), |attitude, send| {
+    let mut velocity = Followed::<VehicleAngularVelocity>::sampled(session);
+    on_update(Followed::<VehicleAttitude>::new(session), move |attitude, send| {
+        let attitude = with_rates(attitude, velocity.copy());
         send(MavMessage::ATTITUDE(attitude_message(&attitude)));
     })
 }
 
 pub(super) fn quaternion(session: &Session) -> Box<dyn Source> {
-    on_update(Followed::<VehicleAttitude>::new(session), |attitude, send| {
+    let mut velocity = Followed::<VehicleAngularVelocity>::sampled(session);
+    on_update(Followed::<VehicleAttitude>::new(session), move |attitude, send| {
+        let attitude = with_rates(attitude, velocity.copy());
         send(MavMessage::ATTITUDE_QUATERNION(quaternion_message(&attitude)));
     })
+}
+
+/// The rates of the newer topic, where somebody publishes it.
+fn with_rates(
+    attitude: VehicleAttitude,
+    velocity: Option<VehicleAngularVelocity>,
+) -> VehicleAttitude {
+    let Some(velocity) = velocity else { return attitude };
+    let [rollspeed, pitchspeed, yawspeed] = velocity.xyz;
+    VehicleAttitude { rollspeed, pitchspeed, yawspeed, ..attitude }
 }
 
 fn attitude_message(attitude: &VehicleAttitude) -> ATTITUDE_DATA {

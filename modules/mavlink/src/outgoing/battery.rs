@@ -47,7 +47,7 @@ fn sys_status_message(
         onboard_control_sensors_health: status.onboard_control_sensors_health,
         load: load.map_or(0, |load| (load.load * 1000.0).round() as u16),
         voltage_battery: battery
-            .map_or(u16::MAX, |it| (it.voltage_filtered_v * 1e3).round() as u16),
+            .map_or(u16::MAX, |it| (filtered_voltage_v(&it) * 1e3).round() as u16),
         current_battery: battery.map_or(-1, |it| centiamperes(&it)),
         battery_remaining: battery.map_or(-1, |it| percent((it.remaining * 100.0).ceil())),
         ..SYS_STATUS_DATA::DEFAULT
@@ -108,9 +108,21 @@ fn whole_voltage(voltage_v: f32) -> [u16; 10] {
     voltages
 }
 
+/// Without a filter, the voltage as it is.
+fn filtered_voltage_v(battery: &BatteryStatus) -> f32 {
+    match battery.voltage_filtered_v {
+        0.0 => battery.voltage_v,
+        filtered => filtered,
+    }
+}
+
 fn centiamperes(battery: &BatteryStatus) -> i16 {
+    let current_a = match battery.current_filtered_a {
+        0.0 => battery.current_a,
+        filtered => filtered,
+    };
     // Below zero nobody measures it.
-    if battery.current_filtered_a < 0.0 { -1 } else { (battery.current_filtered_a * 100.0) as i16 }
+    if current_a < 0.0 { -1 } else { (current_a * 100.0) as i16 }
 }
 
 fn percent(percent: f32) -> i8 {

@@ -10,6 +10,7 @@ use uorb_msg::{
 };
 
 use super::attitude::{ms, quaternion_of};
+use super::newer::VehicleAirData;
 use super::source::{Source, on_clock, on_update};
 use crate::dialect::{
     ALTITUDE_DATA, GLOBAL_POSITION_INT_DATA, HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA,
@@ -33,15 +34,24 @@ fn local_message(position: &VehicleLocalPosition) -> LOCAL_POSITION_NED_DATA {
 
 pub(super) fn global(session: &Session) -> Box<dyn Source> {
     let mut home = Followed::<HomePosition>::sampled(session);
+    let mut local = Followed::<VehicleLocalPosition>::sampled(session);
     on_update(Followed::<VehicleGlobalPosition>::new(session), move |position, send| {
-        send(MavMessage::GLOBAL_POSITION_INT(global_message(&position, home.copy())));
+        let message = global_message(&position, local.copy(), home.copy());
+        send(MavMessage::GLOBAL_POSITION_INT(message));
     })
 }
 
 fn global_message(
     position: &VehicleGlobalPosition,
+    local: Option<VehicleLocalPosition>,
     home: Option<HomePosition>,
 ) -> GLOBAL_POSITION_INT_DATA {
+    // The global position of newer logs has neither velocity nor heading.
+    let local = local.filter(|local| local.v_xy_valid.into());
+    let ([north, east, down], yaw) = match local {
+        Some(local) => ([local.vx, local.vy, local.vz], local.yaw),
+        None => ([position.vel_n, position.vel_e, position.vel_d], position.yaw),
+    };
     let relative_m = home.map_or(0.0, |home| position.alt - home.alt);
     GLOBAL_POSITION_INT_DATA {
         time_boot_ms: ms(position.timestamp),
@@ -49,10 +59,10 @@ fn global_message(
         lon: degrees_e7(position.lon),
         alt: mm(position.alt),
         relative_alt: mm(relative_m),
-        vx: (position.vel_n * 100.0).round() as i16,
-        vy: (position.vel_e * 100.0).round() as i16,
-        vz: (position.vel_d * 100.0).round() as i16,
-        hdg: centidegrees(position.yaw),
+        vx: (north * 100.0).round() as i16,
+        vy: (east * 100.0).round() as i16,
+        vz: (down * 100.0).round() as i16,
+        hdg: centidegrees(yaw),
     }
 }
 
@@ -60,11 +70,11 @@ pub(super) fn altitude(session: &Session) -> Box<dyn Source> {
     let mut local = Followed::<VehicleLocalPosition>::sampled(session);
     let mut global = Followed::<VehicleGlobalPosition>::sampled(session);
     let mut home = Followed::<HomePosition>::sampled(session);
-    let mut sensors = Followed::<SensorCombined>::sampled(session);
+    let mut baro = BaroAltitude::new(session);
     on_clock(move |send| {
-        let (local, sensors) = (local.copy(), sensors.copy());
-        if local.is_some() || sensors.is_some() {
-            let message = altitude_message(local, global.copy(), home.copy(), sensors);
+        let (local, baro) = (local.copy(), baro.newest());
+        if local.is_some() || baro.is_some() {
+            let message = altitude_message(local, global.copy(), home.copy(), baro);
             send(MavMessage::ALTITUDE(ALTITUDE_DATA { time_usec: now_us(), ..message }));
         }
     })
@@ -74,11 +84,11 @@ fn altitude_message(
     local: Option<VehicleLocalPosition>,
     global: Option<VehicleGlobalPosition>,
     home: Option<HomePosition>,
-    sensors: Option<SensorCombined>,
+    baro: Option<f32>,
 ) -> ALTITUDE_DATA {
     let unknown = f32::NAN;
     let local = local.filter(|local| local.z_valid.into());
-    let baro = sensors.map_or(unknown, |sensors| sensors.baro_alt_meter);
+    let baro = baro.unwrap_or(unknown);
     let above_sea = local.map(|local| match bool::from(local.z_global) {
         true => local.ref_alt - local.z,
         false => global.map_or(baro, |global| global.alt),
@@ -99,11 +109,11 @@ pub(super) fn hud(session: &Session) -> Box<dyn Source> {
     let mut armed = Followed::<ActuatorArmed>::sampled(session);
     let mut controls = Followed::<ActuatorControls0>::sampled(session);
     let mut airspeed = Followed::<Airspeed>::sampled(session);
-    let mut sensors = Followed::<SensorCombined>::sampled(session);
+    let mut baro = BaroAltitude::new(session);
     on_update(Followed::<VehicleLocalPosition>::new(session), move |local, send| {
         let is_armed = armed.copy().is_some_and(|armed| armed.armed.into());
         let controls = controls.copy().filter(|_| is_armed);
-        let message = hud_message(&local, controls, airspeed.copy(), sensors.copy());
+        let message = hud_message(&local, controls, airspeed.copy(), baro.newest());
         send(MavMessage::VFR_HUD(message));
     })
 }
@@ -112,7 +122,7 @@ fn hud_message(
     local: &VehicleLocalPosition,
     controls: Option<ActuatorControls>,
     airspeed: Option<Airspeed>,
-    sensors: Option<SensorCombined>,
+    baro: Option<f32>,
 ) -> VFR_HUD_DATA {
     let is_global = bool::from(local.z_valid) && bool::from(local.z_global);
     VFR_HUD_DATA {
@@ -123,7 +133,7 @@ fn hud_message(
             .map_or(0, |controls| (controls.control[THROTTLE] * 100.0).clamp(0.0, 100.0) as u16),
         alt: match is_global {
             true => local.ref_alt - local.z,
-            false => sensors.map_or(0.0, |sensors| sensors.baro_alt_meter),
+            false => baro.unwrap_or(0.0),
         },
         climb: if local.v_z_valid.into() { -local.vz } else { 0.0 },
     }
@@ -149,6 +159,25 @@ fn home_message(home: &HomePosition) -> HOME_POSITION_DATA {
         q: quaternion_of([0.0, 0.0, home.yaw]),
         time_usec: home.timestamp,
         ..HOME_POSITION_DATA::DEFAULT
+    }
+}
+
+/// The altitude by air pressure, of whichever topic has it.
+struct BaroAltitude {
+    sensors: Followed<SensorCombined>,
+    air: Followed<VehicleAirData>,
+}
+
+impl BaroAltitude {
+    fn new(session: &Session) -> Self {
+        Self { sensors: Followed::sampled(session), air: Followed::sampled(session) }
+    }
+
+    fn newest(&mut self) -> Option<f32> {
+        let air = self.air.copy().map(|air| air.baro_alt_meter);
+        let sensors = || self.sensors.copy().map(|sensors| sensors.baro_alt_meter);
+        // What a topic does not have is 0 and not an altitude.
+        air.or_else(sensors).filter(|altitude| *altitude != 0.0)
     }
 }
 
@@ -190,11 +219,20 @@ mod tests {
             ..VehicleGlobalPosition::default()
         };
         let home = HomePosition { alt: 480.0, ..HomePosition::default() };
-        let message = global_message(&position, Some(home));
+        let message = global_message(&position, None, Some(home));
         assert_eq!((message.lat, message.lon), (473_977_421, -85_455_938));
         assert_eq!((message.alt, message.relative_alt), (488_123, 8_123));
         assert_eq!((message.vx, message.vy, message.vz), (123, 0, -50));
         assert_eq!((message.hdg, message.time_boot_ms), (30_270, 1_234));
+
+        let local = VehicleLocalPosition {
+            vx: 5.0,
+            yaw: 1.0,
+            v_xy_valid: true.into(),
+            ..VehicleLocalPosition::default()
+        };
+        let message = global_message(&position, Some(local), Some(home));
+        assert_eq!((message.vx, message.hdg), (500, 5_730));
     }
 
     #[test]

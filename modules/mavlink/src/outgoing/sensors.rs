@@ -3,6 +3,7 @@
 use uorb_core::Session;
 use uorb_msg::{SensorBaro, SensorCombined, VehicleGpsPosition};
 
+use super::newer::{VehicleAirData, VehicleMagnetometer};
 use super::position::centidegrees;
 use super::source::{Source, on_update};
 use crate::dialect::{GPS_RAW_INT_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavMessage};
@@ -10,9 +11,27 @@ use crate::followed::Followed;
 
 pub(super) fn highres_imu(session: &Session) -> Box<dyn Source> {
     let mut baro = Followed::<SensorBaro>::sampled(session);
+    let mut air = Followed::<VehicleAirData>::sampled(session);
+    let mut mag = Followed::<VehicleMagnetometer>::sampled(session);
     on_update(Followed::<SensorCombined>::new(session), move |sensors, send| {
-        send(MavMessage::HIGHRES_IMU(imu_message(&sensors, baro.copy())));
+        let mut message = imu_message(&sensors, baro.copy());
+        if let Some(air) = air.copy() {
+            message.abs_pressure = air.baro_pressure_pa / 100.0;
+            message.pressure_alt = air.baro_alt_meter;
+        }
+        if let Some(mag) = mag.copy() {
+            [message.xmag, message.ymag, message.zmag] = mag.magnetometer_ga;
+        }
+        send(MavMessage::HIGHRES_IMU(message));
     })
+}
+
+/// More millibars than this are no air: newer logs have pascals in the same
+/// field.
+const PRESSURE_MAX_MBAR: f32 = 2_000.0;
+
+fn in_mbar(pressure: f32) -> f32 {
+    if pressure > PRESSURE_MAX_MBAR { pressure / 100.0 } else { pressure }
 }
 
 fn imu_message(sensors: &SensorCombined, baro: Option<SensorBaro>) -> HIGHRES_IMU_DATA {
@@ -49,7 +68,7 @@ fn imu_message(sensors: &SensorCombined, baro: Option<SensorBaro>) -> HIGHRES_IM
         ymag,
         zmag,
         // A millibar is a hectopascal.
-        abs_pressure: baro.map_or(0.0, |baro| baro.pressure),
+        abs_pressure: baro.map_or(0.0, |baro| in_mbar(baro.pressure)),
         diff_pressure: 0.0,
         pressure_alt: sensors.baro_alt_meter,
         temperature: sensors.baro_temp_celcius,
@@ -133,5 +152,6 @@ mod tests {
         assert_eq!((message.eph, message.vel, message.cog), (71, 250, 27_000));
         assert_eq!((message.h_acc, message.satellites_visible), (900, 12));
         assert_eq!(hundredths(f32::NAN), u16::MAX);
+        assert_eq!((in_mbar(955.5), in_mbar(95_550.0)), (955.5, 955.5));
     }
 }
