@@ -10,8 +10,8 @@ use uorb_tests::{Actor, Bus, PATIENCE};
 const ARM: u32 = VehicleCommand::VEHICLE_CMD_COMPONENT_ARM_DISARM;
 
 /// A commander that hears commands.
-fn commander(bus: &mut Bus) -> Actor {
-    let commander = bus.spawn_heard("commander", &[]);
+fn commander(bus: &mut Bus, arguments: &[&str]) -> Actor {
+    let commander = bus.spawn_heard("commander", arguments);
     let mut status = bus.subscribe::<VehicleStatus>();
     until(&mut status, |_| true);
     commander
@@ -49,7 +49,7 @@ fn answer(
 #[test]
 fn a_command_is_obeyed_published_and_answered() {
     let mut bus = Bus::start();
-    let mut commander = commander(&mut bus);
+    let mut commander = commander(&mut bus, &[]);
     let mut command_pub = bus.advertise::<VehicleCommand>();
     let mut ack_sub = bus.subscribe::<VehicleCommandAck>();
     let mut status_sub = bus.subscribe::<VehicleStatus>();
@@ -89,7 +89,7 @@ fn a_command_is_obeyed_published_and_answered() {
 #[test]
 fn a_command_to_another_vehicle_is_not_answered() {
     let mut bus = Bus::start();
-    let mut commander = commander(&mut bus);
+    let mut commander = commander(&mut bus, &[]);
     let mut command_pub = bus.advertise::<VehicleCommand>();
     let mut ack_sub = bus.subscribe::<VehicleCommandAck>();
     let other = VehicleCommand { target_system: 2, ..command(ARM, 1.0) };
@@ -104,10 +104,22 @@ fn a_command_to_another_vehicle_is_not_answered() {
 }
 
 #[test]
+fn a_vehicle_can_have_another_number_than_its_system() {
+    let mut bus = Bus::start();
+    let _commander = commander(&mut bus, &["-i", "41"]);
+    let mut command_pub = bus.advertise::<VehicleCommand>();
+    let mut ack_sub = bus.subscribe::<VehicleCommandAck>();
+    let arm = VehicleCommand { target_system: 42, ..command(ARM, 1.0) };
+    let result = answer(&mut command_pub, &mut ack_sub, arm);
+    assert_eq!(result, VehicleCommandAck::VEHICLE_RESULT_ACCEPTED);
+    assert_eq!(bus.subscribe::<VehicleStatus>().copy().unwrap().system_id, 42);
+}
+
+#[test]
 fn home_is_where_the_gps_was_heard_first_and_sensors_that_are_heard_are_healthy() {
     let mut bus = Bus::start();
     let _sim = bus.spawn_heard("sensor_sim", &["--vehicle"]);
-    let _commander = commander(&mut bus);
+    let _commander = commander(&mut bus, &[]);
     let home = until(&mut bus.subscribe::<HomePosition>(), |_| true);
     assert!((home.lat - 47.397_742).abs() < 1e-3, "{home:?}");
     let status = until(&mut bus.subscribe::<VehicleStatus>(), |status| {

@@ -43,22 +43,26 @@ UORB_DIR and UORB_SYSTEM name the system, as for uorb.";
 /// Keeps the vehicle's state and answers commands.
 #[derive(Parser)]
 #[command(name = "commander", version, after_help = EXAMPLES)]
-struct Arguments {}
-
-fn main() -> ExitCode {
-    Arguments::parse();
-    run(command)
+struct Arguments {
+    /// Number of the vehicle, as for mavlink: it is 1 more in MAVLink [default: the
+    /// system's number]
+    #[arg(short = 'i', value_name = "N", value_parser = clap::value_parser!(u32).range(..250))]
+    vehicle: Option<u32>,
 }
 
-fn command(stop: &Stop, out: &mut impl Write) -> Outcome {
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    run(|stop, out| command(&arguments, stop, out))
+}
+
+fn command(arguments: &Arguments, stop: &Stop, out: &mut impl Write) -> Outcome {
     let session = Session::connect()?;
     let mut command_sub = Subscription::<VehicleCommand>::subscribe(&session)?;
     let mut ack_pub = Publication::<VehicleCommandAck>::advertise(&session)?;
     let mut ears = Ears::open(&session)?;
     let mut news = News::open(&session)?;
     let mut state = State::START;
-    // PX4's number of the vehicle in MAVLink: system 0 is vehicle 1.
-    let system_id = session.system().number() + 1;
+    let system_id = arguments.vehicle.unwrap_or(session.system().number()) + 1;
 
     while !stop.requested() {
         let senses = ears.listen();
