@@ -145,6 +145,7 @@ fn two_links_of_one_process_have_modes_of_their_own() {
     let mut bridge = bridge(&bus, &["-u", "0", "--", "-u", "0", "-m", "onboard"]);
     let mut station = GroundStation::of(port_of_next_link(&mut bridge));
     let mut program = GroundStation::of(port_of_next_link(&mut bridge));
+    let _ = (station.next(), program.next());
     let mut sensors = bus.advertise::<SensorCombined>();
     let accelerometer_m_s2 = [0.5, -0.25, -9.75];
     let message = SensorCombined { timestamp: 42, accelerometer_m_s2, ..SensorCombined::default() };
@@ -168,10 +169,12 @@ fn two_vehicles_on_one_machine_are_not_mixed_up() {
         .iter()
         .zip(&mut buses)
         .map(|(number, bus)| {
+            let (bridge, mut station) = link(bus, &["-i", number, "-m", "onboard"]);
+            // It knows its partner, who would miss what is published once.
+            let _ = station.next();
             let mut attitude = bus.advertise::<VehicleAttitude>();
             let yaw = number.parse::<f32>().unwrap() + 0.5;
             attitude.publish(&VehicleAttitude { yaw, ..VehicleAttitude::default() }).unwrap();
-            let (bridge, station) = link(bus, &["-i", number, "-m", "onboard"]);
             (bridge, station, attitude)
         })
         .collect();

@@ -212,7 +212,12 @@ impl Parser {
     fn count(&mut self, header: MavHeader) {
         let sender = (header.system_id, header.component_id);
         if let Some(last) = self.sequences.insert(sender, header.sequence) {
-            self.received.lost += u64::from(header.sequence.wrapping_sub(last).wrapping_sub(1));
+            let missing = header.sequence.wrapping_sub(last).wrapping_sub(1);
+            // More is a step back: a message that is late, or a sender that has
+            // started again.
+            if missing < 128 {
+                self.received.lost += u64::from(missing);
+            }
         }
     }
 }
@@ -332,6 +337,10 @@ mod tests {
             parser.push(&packet(sequence, &heartbeat(1)));
         }
         assert_eq!(all(&mut parser).len(), 4);
+        assert_eq!(parser.received().lost, 2);
+        // One that was late, and one that was sent twice.
+        parser.push(&[packet(2, &heartbeat(1)), packet(2, &heartbeat(1))].concat());
+        assert_eq!(all(&mut parser).len(), 2);
         assert_eq!(parser.received().lost, 2);
     }
 

@@ -7,7 +7,7 @@ mod background;
 mod options;
 
 use std::error::Error;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::thread;
@@ -137,7 +137,14 @@ fn open(session: &Session, number: usize, options: &LinkOptions) -> Result<Link,
         data_rate: options.data_rate(),
     };
     let address = options.address()?;
-    let transport = transport::open(&address).map_err(|error| format!("{address}: {error}"))?;
+    let transport = transport::open(&address).map_err(|error| match error.kind() {
+        ErrorKind::AddrInUse => {
+            format!(
+                "{address} is in use, perhaps by a bridge that `mavlink status` shows: say another"
+            )
+        }
+        _ => format!("{address}: {error}"),
+    })?;
     let signing = options.signing_key.as_deref().map(|path| signing(path, number as u8));
     let signing = signing.transpose()?.map(Arc::new);
     Ok(Link::new(session, transport, signing, settings)?)

@@ -129,11 +129,13 @@ impl Streams {
 
     /// Sends what is due.
     pub(crate) fn step(&mut self, now_us: u64, port: &mut Port) {
-        for stream in &mut self.all {
-            if stream.rate != Rate::Off {
-                stream.open(&self.session, self.multiplier);
-                stream.step(now_us, self.multiplier, port);
-            }
+        // All follow their topics before the first word goes out: whoever hears
+        // it may publish something at once.
+        for stream in self.all.iter_mut().filter(|stream| stream.rate != Rate::Off) {
+            stream.open(&self.session, self.multiplier);
+        }
+        for stream in self.all.iter_mut().filter(|stream| stream.rate != Rate::Off) {
+            stream.step(now_us, self.multiplier, port);
         }
     }
 
@@ -174,7 +176,8 @@ impl Streams {
         let wanted = if scaled > budget { budget / scaled } else { 1.0 };
         let multiplier = wanted.min(self.room).max(MULTIPLIER_MIN);
         // Each new interval begins anew: not for a hair's breadth.
-        if (multiplier / self.multiplier - 1.0).abs() > 0.02 {
+        let is_news = (multiplier / self.multiplier - 1.0).abs() > 0.02;
+        if is_news || multiplier == 1.0 && self.multiplier < 1.0 {
             self.multiplier = multiplier;
             self.all.iter_mut().for_each(|stream| stream.pace(multiplier));
         }

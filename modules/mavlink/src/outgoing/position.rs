@@ -181,7 +181,7 @@ impl BaroAltitude {
     }
 }
 
-fn degrees_e7(degrees: f64) -> i32 {
+pub(super) fn degrees_e7(degrees: f64) -> i32 {
     (degrees * 1e7).round() as i32
 }
 

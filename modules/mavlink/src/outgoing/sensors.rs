@@ -3,8 +3,8 @@
 use uorb_core::Session;
 use uorb_msg::{SensorBaro, SensorCombined, VehicleGpsPosition};
 
-use super::newer::{VehicleAirData, VehicleMagnetometer};
-use super::position::centidegrees;
+use super::newer::{GpsDegrees, VehicleAirData, VehicleMagnetometer};
+use super::position::{centidegrees, degrees_e7};
 use super::source::{Source, on_update};
 use crate::dialect::{GPS_RAW_INT_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavMessage};
 use crate::followed::Followed;
@@ -78,9 +78,25 @@ fn imu_message(sensors: &SensorCombined, baro: Option<SensorBaro>) -> HIGHRES_IM
 }
 
 pub(super) fn gps_raw(session: &Session) -> Box<dyn Source> {
-    on_update(Followed::<VehicleGpsPosition>::new(session), |gps, send| {
+    let mut degrees = Followed::<GpsDegrees>::sampled(session);
+    on_update(Followed::<VehicleGpsPosition>::new(session), move |gps, send| {
+        let gps = in_integers(gps, degrees.copy());
         send(MavMessage::GPS_RAW_INT(gps_message(&gps)));
     })
+}
+
+/// The position of newer logs, where the integers are not there.
+fn in_integers(gps: VehicleGpsPosition, degrees: Option<GpsDegrees>) -> VehicleGpsPosition {
+    match degrees {
+        Some(degrees) if (gps.lat, gps.lon, gps.alt) == (0, 0, 0) => VehicleGpsPosition {
+            lat: degrees_e7(degrees.latitude_deg),
+            lon: degrees_e7(degrees.longitude_deg),
+            alt: (degrees.altitude_msl_m * 1e3).round() as i32,
+            alt_ellipsoid: (degrees.altitude_ellipsoid_m * 1e3).round() as i32,
+            ..gps
+        },
+        _ => gps,
+    }
 }
 
 fn gps_message(gps: &VehicleGpsPosition) -> GPS_RAW_INT_DATA {
@@ -152,6 +168,12 @@ mod tests {
         assert_eq!((message.eph, message.vel, message.cog), (71, 250, 27_000));
         assert_eq!((message.h_acc, message.satellites_visible), (900, 12));
         assert_eq!(hundredths(f32::NAN), u16::MAX);
+
+        let degrees =
+            GpsDegrees { latitude_deg: -33.5, altitude_msl_m: 12.345, ..GpsDegrees::default() };
+        assert_eq!(in_integers(gps, Some(degrees)), gps);
+        let newer = in_integers(VehicleGpsPosition::default(), Some(degrees));
+        assert_eq!((newer.lat, newer.alt), (-335_000_000, 12_345));
         assert_eq!((in_mbar(955.5), in_mbar(95_550.0)), (955.5, 955.5));
     }
 }
