@@ -35,7 +35,7 @@ usage: uorb-bench [--quick] [--out DIR] [ROW...]
 
   --quick    few repetitions: whether all can be measured, not how fast it is
   --out DIR  where results.csv, histograms.csv and the plots go
-  ROW        kernel hot peers sizes wakes blocked flat-out streams scale costs c";
+  ROW        kernel hot peers sizes wakes blocked flat-out streams scale costs mavlink c";
 
 struct Args {
     effort: Effort,

@@ -6,6 +6,7 @@ pub mod costs;
 pub mod flat_out;
 pub mod hot;
 pub mod kernel;
+pub mod mavlink;
 pub mod peers;
 pub mod scale;
 pub mod sizes;
@@ -28,7 +29,7 @@ pub struct Run {
 impl Run {
     /// Everything, on one bus after the other.
     pub fn all(&mut self, wanted: &dyn Fn(&str) -> bool) {
-        let rows: [(&str, Row); 11] = [
+        let rows: [(&str, Row); 12] = [
             ("kernel", kernel::measure),
             ("hot", hot::measure),
             ("peers", peers::measure),
@@ -39,6 +40,7 @@ impl Run {
             ("streams", streams::measure),
             ("scale", scale::measure),
             ("costs", costs::measure),
+            ("mavlink", mavlink::measure),
             // Last: the library keeps its session until the process ends.
             ("c", c_functions::measure),
         ];

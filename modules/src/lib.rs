@@ -8,7 +8,8 @@
 //! | publish one topic from several processes, and tell them apart | `position.rs` |
 //! | follow all instances and choose by priority | `sensors/` |
 //! | publish many topics at rates of their own | `sensor_sim/` |
-//! | record a bus | `logger.rs` |
+//! | answer commands | `commander/` |
+//! | record a bus | `logger/` |
 //!
 //! A module is an ordinary program. It runs until Ctrl-C, SIGTERM or
 //! `uorb stop`, and then leaves its `main` loop, so that its publications are

@@ -12,11 +12,12 @@
 //!
 //! | | topics |
 //! |---|---|
-//! | sensors | `sensor_accel`, `sensor_baro`, `sensor_combined`, `sensor_gyro`, `sensor_mag`, `vehicle_gps_position` |
-//! | estimation | `control_state`, `ekf2_innovations`, `ekf2_timestamps`, `estimator_status`, `vehicle_acceleration`, `vehicle_attitude`, `vehicle_attitude_groundtruth`, `vehicle_vision_attitude` |
-//! | control | `actuator_armed`, `actuator_controls`, `actuator_controls_0`, `actuator_controls_1`, `actuator_controls_2`, `actuator_controls_3`, `actuator_controls_virtual_fw`, `actuator_controls_virtual_mc`, `ca_trajectory_msg`, `mc_att_ctrl_status` |
-//! | vehicle | `battery_status`, `commander_state`, `esc_report`, `esc_status`, `mission`, `offboard_mission`, `onboard_mission`, `safety`, `vehicle_command` |
-//! | logging | `log_message`, `logger_status` |
+//! | sensors | `sensor_accel`, `sensor_baro`, `sensor_combined`, `sensor_gyro`, `sensor_mag`, `airspeed`, `vehicle_gps_position`, `gps_inject_data` |
+//! | estimation | `control_state`, `ekf2_innovations`, `ekf2_timestamps`, `estimator_status`, `vehicle_acceleration`, `vehicle_attitude`, `vehicle_attitude_groundtruth`, `vehicle_global_position`, `vehicle_global_position_groundtruth`, `vehicle_local_position`, `vehicle_local_position_groundtruth`, `vehicle_vision_attitude`, `vehicle_vision_position` |
+//! | control | `actuator_armed`, `actuator_controls`, `actuator_controls_0`, `actuator_controls_1`, `actuator_controls_2`, `actuator_controls_3`, `actuator_controls_virtual_fw`, `actuator_controls_virtual_mc`, `ca_trajectory_msg`, `manual_control_setpoint`, `mc_att_ctrl_status`, `offboard_control_mode` |
+//! | setpoints | `position_setpoint`, `position_setpoint_triplet`, `vehicle_local_position_setpoint`, `vehicle_attitude_setpoint`, `mc_virtual_attitude_setpoint`, `fw_virtual_attitude_setpoint`, `vehicle_rates_setpoint`, `mc_virtual_rates_setpoint`, `fw_virtual_rates_setpoint` |
+//! | vehicle | `battery_status`, `commander_state`, `cpuload`, `esc_report`, `esc_status`, `home_position`, `mission`, `offboard_mission`, `onboard_mission`, `safety`, `vehicle_command`, `vehicle_command_ack`, `vehicle_land_detected`, `vehicle_status` |
+//! | logging and links | `log_message`, `logger_status`, `mavlink_status` |
 //! | uORB's own tests | `orb_multitest`, `orb_test`, `orb_test_large`, `orb_test_medium`, `orb_test_medium_multi`, `orb_test_medium_queue`, `orb_test_medium_queue_poll`, `orb_test_medium_wrap_around` |
 //!
 //! # A topic of your own

@@ -30,11 +30,14 @@ fn a_struct_has_as_many_bytes_as_its_layout_says() {
         )*};
     }
     check! {
-        ActuatorArmed ActuatorControls BatteryStatus CaTrajectoryMsg CommanderState ControlState
-        Ekf2Innovations Ekf2Timestamps EscReport EscStatus EstimatorStatus LogMessage LoggerStatus
-        McAttCtrlStatus Mission
-        OrbTest OrbTestLarge OrbTestMedium Safety SensorAccel SensorBaro SensorCombined SensorGyro
-        SensorMag VehicleAcceleration VehicleAttitude VehicleCommand VehicleGpsPosition
+        ActuatorArmed ActuatorControls Airspeed BatteryStatus CaTrajectoryMsg CommanderState
+        ControlState Cpuload Ekf2Innovations Ekf2Timestamps EscReport EscStatus EstimatorStatus
+        GpsInjectData HomePosition LogMessage LoggerStatus ManualControlSetpoint MavlinkStatus McAttCtrlStatus
+        Mission OffboardControlMode OrbTest OrbTestLarge OrbTestMedium PositionSetpoint
+        PositionSetpointTriplet Safety SensorAccel SensorBaro SensorCombined SensorGyro SensorMag
+        VehicleAcceleration VehicleAttitude VehicleAttitudeSetpoint VehicleCommand
+        VehicleCommandAck VehicleGlobalPosition VehicleGpsPosition VehicleLandDetected
+        VehicleLocalPosition VehicleLocalPositionSetpoint VehicleRatesSetpoint VehicleStatus
     }
     let messages: BTreeSet<&str> = TOPICS.iter().map(|topic| &*topic.layout.name).collect();
     assert_eq!(checked, messages);
@@ -99,6 +102,101 @@ const LOGGED: &[(&str, &str)] = &[
          param3;float param4;float param7;uint32_t command;uint32_t target_system;uint32_t \
          target_component;uint32_t source_system;uint32_t source_component;uint8_t \
          confirmation;uint8_t[7] _padding0;",
+    ),
+    (
+        "airspeed",
+        "uint64_t timestamp;float indicated_airspeed_m_s;float true_airspeed_m_s;float \
+         true_airspeed_unfiltered_m_s;float air_temperature_celsius;float confidence;float \
+         differential_pressure_filtered_pa;",
+    ),
+    ("cpuload", "uint64_t timestamp;float load;float ram_usage;"),
+    ("gps_inject_data", "uint64_t timestamp;uint8_t len;uint8_t flags;uint8_t[182] data;"),
+    (
+        "home_position",
+        "uint64_t timestamp;double lat;double lon;float alt;float x;float y;float z;float \
+         yaw;float direction_x;float direction_y;float direction_z;",
+    ),
+    (
+        "manual_control_setpoint",
+        "uint64_t timestamp;float x;float y;float z;float r;float flaps;float aux1;float \
+         aux2;float aux3;float aux4;float aux5;uint8_t mode_switch;uint8_t return_switch;uint8_t \
+         rattitude_switch;uint8_t posctl_switch;uint8_t loiter_switch;uint8_t acro_switch;uint8_t \
+         offboard_switch;uint8_t kill_switch;uint8_t arm_switch;uint8_t transition_switch;uint8_t \
+         gear_switch;int8_t mode_slot;uint8_t data_source;uint8_t stab_switch;uint8_t \
+         man_switch;uint8_t[1] _padding0;",
+    ),
+    (
+        "offboard_control_mode",
+        "uint64_t timestamp;bool ignore_thrust;bool ignore_attitude;bool ignore_bodyrate;bool \
+         ignore_position;bool ignore_velocity;bool ignore_acceleration_force;bool \
+         ignore_alt_hold;uint8_t[1] _padding0;",
+    ),
+    (
+        "position_setpoint",
+        "uint64_t timestamp;double lat;double lon;float x;float y;float z;float vx;float vy;float \
+         vz;float alt;float yaw;float yawspeed;float loiter_radius;float pitch_min;float \
+         a_x;float a_y;float a_z;float acceptance_radius;float cruising_speed;float \
+         cruising_throttle;bool valid;uint8_t type;bool position_valid;bool \
+         velocity_valid;uint8_t velocity_frame;bool alt_valid;bool yaw_valid;bool \
+         disable_mc_yaw_control;bool yawspeed_valid;int8_t loiter_direction;bool \
+         acceleration_valid;bool acceleration_is_force;",
+    ),
+    (
+        "position_setpoint_triplet",
+        "uint64_t timestamp;position_setpoint previous;position_setpoint \
+         current;position_setpoint next;",
+    ),
+    (
+        "vehicle_attitude_setpoint",
+        "uint64_t timestamp;float roll_body;float pitch_body;float yaw_body;float \
+         yaw_sp_move_rate;float[4] q_d;float thrust;float landing_gear;bool q_d_valid;bool \
+         roll_reset_integral;bool pitch_reset_integral;bool yaw_reset_integral;bool \
+         fw_control_yaw;bool disable_mc_yaw_control;bool apply_flaps;uint8_t[1] _padding0;",
+    ),
+    (
+        "vehicle_command_ack",
+        "uint64_t timestamp;uint16_t command;uint8_t result;uint8_t[5] _padding0;",
+    ),
+    (
+        "vehicle_global_position",
+        "uint64_t timestamp;uint64_t time_utc_usec;double lat;double lon;double[2] \
+         delta_lat_lon;float alt;float delta_alt;float vel_n;float vel_e;float vel_d;float \
+         pos_d_deriv;float yaw;float eph;float epv;float evh;float evv;float terrain_alt;float \
+         pressure_alt;uint8_t lat_lon_reset_counter;uint8_t alt_reset_counter;bool \
+         terrain_alt_valid;bool dead_reckoning;",
+    ),
+    (
+        "vehicle_land_detected",
+        "uint64_t timestamp;float alt_max;bool landed;bool freefall;bool \
+         ground_contact;uint8_t[1] _padding0;",
+    ),
+    (
+        "vehicle_local_position",
+        "uint64_t timestamp;uint64_t ref_timestamp;double ref_lat;double ref_lon;uint64_t \
+         surface_bottom_timestamp;float x;float y;float z;float[2] delta_xy;float delta_z;float \
+         vx;float vy;float vz;float z_deriv;float[2] delta_vxy;float delta_vz;float ax;float \
+         ay;float az;float yaw;float ref_alt;float dist_bottom;float dist_bottom_rate;float \
+         eph;float epv;float evh;float evv;uint8_t estimator_type;bool xy_valid;bool z_valid;bool \
+         v_xy_valid;bool v_z_valid;uint8_t xy_reset_counter;uint8_t z_reset_counter;uint8_t \
+         vxy_reset_counter;uint8_t vz_reset_counter;bool xy_global;bool z_global;bool \
+         dist_bottom_valid;uint8_t[4] _padding0;",
+    ),
+    (
+        "vehicle_local_position_setpoint",
+        "uint64_t timestamp;float x;float y;float z;float yaw;float vx;float vy;float vz;float \
+         acc_x;float acc_y;float acc_z;",
+    ),
+    ("vehicle_rates_setpoint", "uint64_t timestamp;float roll;float pitch;float yaw;float thrust;"),
+    (
+        "vehicle_status",
+        "uint64_t timestamp;uint32_t system_id;uint32_t component_id;uint32_t \
+         onboard_control_sensors_present;uint32_t onboard_control_sensors_enabled;uint32_t \
+         onboard_control_sensors_health;uint8_t nav_state;uint8_t arming_state;uint8_t \
+         hil_state;bool failsafe;uint8_t system_type;bool is_rotary_wing;bool is_vtol;bool \
+         vtol_fw_permanent_stab;bool in_transition_mode;bool in_transition_to_fw;bool \
+         rc_signal_lost;uint8_t rc_input_mode;bool data_link_lost;uint8_t \
+         data_link_lost_counter;bool engine_failure;bool engine_failure_cmd;bool \
+         mission_failure;uint8_t[3] _padding0;",
     ),
 ];
 

@@ -14,6 +14,8 @@ mod c_examples;
 mod c_processes;
 /// `uorb start`, `stop` and `status`.
 mod command;
+/// The module `commander`.
+mod commander;
 /// Several processes on one node.
 mod crowds;
 /// Processes that die, brokers that die, systems that end.
@@ -28,6 +30,8 @@ mod faults;
 mod flight_logs;
 /// Programs of another house, which join by iceoryx2.
 mod foreign;
+/// A partner of the MAVLink bridge.
+mod ground_station;
 /// What publish and copy never do.
 mod hot_path;
 /// `uorb msg`, `scripts/install`, and programs in C built with what they make.
@@ -40,6 +44,10 @@ mod layouts;
 mod listening;
 /// Readers of flight logs, of another house.
 mod log_readers;
+/// The MAVLink bridge: links, and what goes out.
+mod mavlink;
+/// The MAVLink bridge: what comes in.
+mod mavlink_commands;
 /// A node does what a model of it in plain Rust does.
 mod model;
 /// The modules and `scripts/rc.sensors`.

@@ -196,7 +196,7 @@ fn descriptors(pid: u32) -> f64 {
 }
 
 /// The processor time of a process until now.
-fn cpu(pid: u32) -> Duration {
+pub fn cpu(pid: u32) -> Duration {
     let clock = ClockId::pid_cpu_clock_id(Pid::from_raw(pid as i32)).expect("it lives");
     Duration::from_nanos(clock.now().expect("it has a clock").num_nanoseconds() as u64)
 }

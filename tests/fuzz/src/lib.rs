@@ -6,6 +6,7 @@
 //! again. To see one crash alone, put its file there.
 
 mod logs;
+mod mavlink;
 mod messages;
 mod nodes;
 mod packets;
@@ -31,6 +32,8 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("node-file", nodes::open),
     ("pub-values", values::assign),
     ("flight-log", logs::read_all),
+    ("mavlink-bytes", mavlink::bytes),
+    ("mavlink-messages", mavlink::messages),
 ];
 
 /// The target of this name.

@@ -21,9 +21,12 @@ use clap::{CommandFactory, Parser, ValueEnum, error::ErrorKind};
 use uorb_core::{Priority, Publication, Session, Topic, now_us};
 use uorb_modules::random::Random;
 use uorb_modules::{Outcome, Stop, Ticks, parse_rate, run};
-use uorb_msg::{SensorAccel, SensorBaro, SensorGyro, SensorMag, VehicleGpsPosition};
+use uorb_msg::{
+    BatteryStatus, SensorAccel, SensorBaro, SensorGyro, SensorMag, VehicleAttitude,
+    VehicleGlobalPosition, VehicleGpsPosition, VehicleLocalPosition,
+};
 
-use vehicle::{Accelerometer, Barometer, Gps, Gyroscope, Magnetometer};
+use vehicle::{Accelerometer, Barometer, Battery, Estimate, Gps, Gyroscope, Magnetometer};
 
 const EXAMPLES: &str = "\
 Devices:
@@ -33,12 +36,19 @@ Devices:
   gps                        5 Hz  vehicle_gps_position
   gyro                     250 Hz  sensor_gyro
 
+And with --vehicle:
+  battery                   10 Hz  battery_status
+  attitude                 100 Hz  vehicle_attitude
+  local position            50 Hz  vehicle_local_position
+  global position           50 Hz  vehicle_global_position
+
 Examples:
   sensor_sim                           all devices, until Ctrl-C
   sensor_sim --duration 10 --seed 42   the same ten seconds every time
   sensor_sim --fail-accel 0@5          the best accelerometer fails after 5 s
   sensor_sim --only accel0             one device as a process of its own,
                                        that can be killed without the others
+  sensor_sim --vehicle                 a whole vehicle, as a ground station wants it
 
 UORB_DIR and UORB_SYSTEM name the system, as for uorb.";
 
@@ -62,6 +72,11 @@ struct Arguments {
     #[arg(long, value_name = "DEVICE,..", value_delimiter = ',')]
     only: Vec<Device>,
 
+    /// Also publish what the rest of a vehicle would: how it lies and where it is, as
+    /// estimated, and its battery
+    #[arg(long)]
+    vehicle: bool,
+
     /// Unadvertise accelerometer N after so many seconds; may be repeated
     #[arg(long, value_name = "N@SECONDS", value_parser = parse_failure)]
     fail_accel: Vec<Failure>,
@@ -77,6 +92,14 @@ enum Device {
     Baro,
     Gps,
     Gyro,
+    #[value(skip)]
+    Battery,
+    #[value(skip)]
+    Attitude,
+    #[value(skip)]
+    LocalPosition,
+    #[value(skip)]
+    GlobalPosition,
 }
 
 const ACCELS: [Device; 3] = [Device::Accel0, Device::Accel1, Device::Accel2];
@@ -256,12 +279,38 @@ fn install(
         let read = move |now_us| gps.read(now_us, utc_us());
         board.install::<VehicleGpsPosition>("gps", 5.0, Priority::DEFAULT, read)?;
     }
+    if arguments.vehicle {
+        install_vehicle(&mut board, arguments)?;
+    }
     if arguments.has(Device::Gyro) {
         let mut gyro = Gyroscope::new(arguments.random(Device::Gyro), start_us);
         let read = move |now_us| gyro.read(now_us);
         board.install::<SensorGyro>("gyro", 250.0, Priority::DEFAULT, read)?;
     }
     Ok(board.drivers)
+}
+
+/// Installs what is not a sensor.
+fn install_vehicle(board: &mut Board, arguments: &Arguments) -> Result<(), Box<dyn Error>> {
+    let start_us = board.start_us;
+    let estimate = |device| Estimate::new(arguments.random(device), start_us);
+
+    let mut battery = Battery::new(arguments.random(Device::Battery), start_us);
+    let read = move |now_us| battery.read(now_us);
+    board.install::<BatteryStatus>("battery", 10.0, Priority::DEFAULT, read)?;
+
+    let mut attitude = estimate(Device::Attitude);
+    let read = move |now_us| attitude.attitude(now_us);
+    board.install::<VehicleAttitude>("attitude", 100.0, Priority::DEFAULT, read)?;
+
+    let mut local = estimate(Device::LocalPosition);
+    let read = move |now_us| local.local_position(now_us);
+    board.install::<VehicleLocalPosition>("local position", 50.0, Priority::DEFAULT, read)?;
+
+    let mut global = estimate(Device::GlobalPosition);
+    let read = move |now_us| global.global_position(now_us, utc_us());
+    board.install::<VehicleGlobalPosition>("global position", 50.0, Priority::DEFAULT, read)?;
+    Ok(())
 }
 
 /// The time of day, as the receiver has it from the satellites.
