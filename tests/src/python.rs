@@ -20,16 +20,28 @@ use crate::{Actor, Bus, program};
 struct Packages {
     environment: &'static str,
     names: &'static [&'static str],
+    /// Those that are had without what they depend on.
+    alone: &'static [&'static str],
 }
 
 /// Of one release with the iceoryx2 that this workspace uses: programs of
 /// different ones do not meet.
-const ICEORYX2: Packages = Packages { environment: "foreign-python", names: &["iceoryx2==0.10.0"] };
+const ICEORYX2: Packages =
+    Packages { environment: "foreign-python", names: &["iceoryx2==0.10.0"], alone: &[] };
 
 /// What reads flight logs, and what is made of them.
 const LOG_READERS: Packages = Packages {
     environment: "log-readers-python",
     names: &["pyulog==1.3.0", "mcap==1.6.0", "mcap-ros2-support==0.6.0"],
+    alone: &[],
+};
+
+/// Ground stations. MAVProxy's maps and pictures are some hundred megabytes, and
+/// only its modules of these names want them.
+const GROUND_STATIONS: Packages = Packages {
+    environment: "mavlink-python",
+    names: &["pymavlink==2.4.50", "mavsdk==4.1.0", "pyserial==3.5", "pyulog==1.3.0"],
+    alone: &["MAVProxy==1.8.75"],
 };
 
 /// How long what could not be had is not asked for again.
@@ -43,6 +55,9 @@ const EXPORTED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/exported.py
 
 /// The program that `tests/foreign/recorded.py` is.
 const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign/recorded.py");
+
+/// Where the programs `mavlink_station.py` and `mavsdk_station.py` are.
+const FOREIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/foreign");
 
 /// A Python with the packages that it was made with.
 #[derive(Debug)]
@@ -61,13 +76,35 @@ impl Python {
         Self::with(&LOG_READERS)
     }
 
+    /// A Python that has pymavlink, MAVSDK and MAVProxy.
+    pub fn with_ground_stations() -> Option<Self> {
+        Self::with(&GROUND_STATIONS)
+    }
+
+    /// Spawns a program of `tests/foreign` that takes a story and its arguments.
+    pub fn spawn_story(&self, program: &str, story: &str, arguments: &[&str]) -> Actor {
+        let mut command = Command::new(&self.interpreter);
+        command.arg("-B").arg(Path::new(FOREIGN).join(program)).arg(story).args(arguments);
+        Actor::spawn(command)
+    }
+
+    /// Spawns MAVProxy without a terminal.
+    pub fn spawn_mavproxy(&self, bus: &Bus, master: &str) -> Actor {
+        let mut command = Command::new(&self.interpreter);
+        command.arg("-B").arg(self.interpreter.with_file_name("mavproxy.py"));
+        command.args(["--non-interactive", "--default-modules", "", "--master", master]);
+        // It writes a log where it is.
+        command.current_dir(bus.system.base());
+        Actor::spawn(command)
+    }
+
     /// Makes the environment, if nobody has. None where that is not possible:
     /// then it has said why.
     fn with(packages: &Packages) -> Option<Self> {
         match environment(packages) {
             Ok(interpreter) => Some(Self { interpreter }),
             Err(why) => {
-                let names = packages.names.join(", ");
+                let names = [packages.names, packages.alone].concat().join(", ");
                 eprintln!("skipped: Python with {names} cannot be had here: {why}");
                 None
             }
@@ -130,7 +167,7 @@ fn environment(packages: &Packages) -> Result<PathBuf, String> {
     // Stories run side by side, each in a process: one makes it, others wait.
     let lock = File::create(environment.with_extension("lock")).expect("a file beside ours");
     let _lock = Flock::lock(lock, FlockArg::LockExclusive).expect("it can be locked");
-    let names = packages.names.join("\n");
+    let names = [packages.names, packages.alone].concat().join("\n");
     if fs::read(&ready).is_ok_and(|made_of| made_of == names.as_bytes()) {
         return Ok(interpreter);
     }
@@ -149,8 +186,12 @@ fn make(environment: &Path, interpreter: &Path, packages: &Packages) -> Result<(
     let _ = fs::remove_dir_all(environment);
     run(Path::new("python3"), &["-m".as_ref(), "venv".as_ref(), environment.as_ref()])?;
     let install = ["-m", "pip", "install", "--quiet", "--no-cache-dir", "--retries", "1"];
-    let arguments = install.iter().chain(packages.names).map(OsStr::new);
-    run(interpreter, &arguments.collect::<Vec<_>>())
+    let have = |options: &[&str], names: &[&str]| {
+        let arguments = install.iter().chain(options).chain(names).map(OsStr::new);
+        run(interpreter, &arguments.collect::<Vec<_>>())
+    };
+    have(&[], packages.names)?;
+    if packages.alone.is_empty() { Ok(()) } else { have(&["--no-deps"], packages.alone) }
 }
 
 /// Runs a command to its end. What it says is heard if it fails.

@@ -46,6 +46,8 @@ mod listening;
 mod log_readers;
 /// The MAVLink bridge: links, and what goes out.
 mod mavlink;
+/// The MAVLink bridge: pymavlink, MAVSDK and MAVProxy.
+mod mavlink_clients;
 /// The MAVLink bridge: what comes in.
 mod mavlink_commands;
 /// A node does what a model of it in plain Rust does.
