@@ -348,11 +348,11 @@ pub(crate) struct Estimate {
 }
 
 impl Estimate {
-    /// [rad]
+    /// In rad.
     pub(crate) const ATTITUDE_NOISE: f64 = 0.0005;
     /// [rad/s]
     const RATE_NOISE: f64 = 0.0005;
-    /// [m]
+    /// In metres.
     pub(crate) const POSITION_NOISE: f64 = 0.02;
     /// [m/s]
     const VELOCITY_NOISE: f64 = 0.01;
