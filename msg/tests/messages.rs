@@ -32,9 +32,10 @@ fn a_struct_has_as_many_bytes_as_its_layout_says() {
     check! {
         ActuatorArmed ActuatorControls Airspeed BatteryStatus CaTrajectoryMsg CommanderState
         ControlState Cpuload Ekf2Innovations Ekf2Timestamps EscReport EscStatus EstimatorStatus
-        GpsInjectData HomePosition LogMessage LoggerStatus ManualControlSetpoint MavlinkStatus McAttCtrlStatus
-        Mission OffboardControlMode OrbTest OrbTestLarge OrbTestMedium PositionSetpoint
-        PositionSetpointTriplet Safety SensorAccel SensorBaro SensorCombined SensorGyro SensorMag
+        GpsInjectData HomePosition LogMessage LoggerStatus ManualControlSetpoint MavlinkStatus
+        McAttCtrlStatus Mission OffboardControlMode OrbTest OrbTestLarge OrbTestMedium
+        PositionSetpoint PositionSetpointTriplet Safety SensorAccel SensorBaro SensorCombined
+        SensorGyro SensorMag
         VehicleAcceleration VehicleAttitude VehicleAttitudeSetpoint VehicleCommand
         VehicleCommandAck VehicleGlobalPosition VehicleGpsPosition VehicleLandDetected
         VehicleLocalPosition VehicleLocalPositionSetpoint VehicleRatesSetpoint VehicleStatus

@@ -68,7 +68,8 @@ pub(crate) struct LinkOptions {
 
     /// How many bytes a second may go out [default: half of what a serial
     /// device takes, 4000000 elsewhere]
-    #[arg(short = 'r', value_name = "B/S", value_parser = clap::value_parser!(u32).range(10..=10_000_000))]
+    #[arg(short = 'r', value_name = "B/S",
+        value_parser = clap::value_parser!(u32).range(10..=10_000_000))]
     data_rate: Option<u32>,
 
     /// Number of the vehicle: it is 1 more in MAVLink [default: the system's

@@ -2,8 +2,9 @@
 //!
 //! A flight log of these years has here what its older topics do not have any
 //! more: the rates are not in vehicle_attitude, nor the magnetic field and the
-//! air pressure in sensor_combined, and a GPS position is in other units. Nobody publishes them in this layout; they
-//! are read by the names of their fields.
+//! air pressure in sensor_combined, and a GPS position is in other units.
+//! Nobody publishes them in this layout; they are read by the names of their
+//! fields.
 
 use uorb_core::topic;
 
