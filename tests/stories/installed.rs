@@ -331,6 +331,7 @@ fn an_installed_tree_is_complete() {
     let prefix = Installed::get().prefix;
     for file in [
         "bin/uorbd",
+        "bin/mavlink",
         "bin/sensor_sim",
         "include/uORB/topics/uORBTopics.hpp",
         "lib/libuorb.a",
