@@ -141,6 +141,11 @@ impl System {
         self.dir().join(".tmp")
     }
 
+    /// What a `reach` that is killed leaves to the next one.
+    pub fn reach(&self) -> PathBuf {
+        self.dir().join("reach.json")
+    }
+
     /// The file of a node: `obj/sensor_accel0`.
     pub fn node(&self, topic: &str, instance: Instance) -> PathBuf {
         self.nodes().join(node_name(topic, instance))

@@ -223,7 +223,9 @@ fn empty(system: &System) -> anyhow::Result<()> {
             fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
         }
     }
-    let _ = fs::remove_file(system.socket());
+    for file in [system.socket(), system.reach()] {
+        let _ = fs::remove_file(file);
+    }
     Ok(())
 }
 

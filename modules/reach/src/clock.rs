@@ -2,18 +2,15 @@
 //!
 //! We ask what time it is. The answer was written at some moment between the
 //! question and its arrival: so the middle of both is wrong by half the round trip
-//! at most, whatever the link does. Of the answers of the last minute those of the
-//! shortest round trips say the most; the line through them is the drift.
+//! at most, whatever the link does. Of the answers of the last minutes those of the
+//! shortest round trips say the most; the line through two of them is the drift.
 
 use std::collections::VecDeque;
 
 /// The answers that are kept, one a second.
-const ANSWERS_MAX: usize = 60;
+const ANSWERS_MAX: usize = 300;
 
-/// How long answers have to be apart before they say anything about the drift.
-const DRIFT_AFTER_US: u64 = 10_000_000;
-
-/// By how much two crystals may differ at most, while no drift is known.
+/// By how much two crystals differ at most.
 const DRIFT_MAX_PPM: f64 = 100.0;
 
 #[derive(Clone, Copy, Debug)]
@@ -65,39 +62,39 @@ impl Clock {
 
     /// How the clocks differ at this moment of ours. None: nobody has answered.
     pub(crate) fn difference(&self, at_us: u64) -> Option<Difference> {
-        let best = self.answers.iter().min_by_key(|answer| answer.round_trip_us)?;
-        let drift = self.drift_ppm();
-        let age_us = at_us.abs_diff(best.at_us) as f64;
+        let (drift_ppm, doubt_ppm) = self.drift_ppm();
+        let uncertainty_us = |answer: &Answer| {
+            let age_us = at_us.abs_diff(answer.at_us) as f64;
+            answer.round_trip_us.div_ceil(2) + (age_us * doubt_ppm * 1e-6).ceil() as u64
+        };
+        let best = self.answers.iter().min_by_key(|answer| uncertainty_us(answer))?;
         let since_us = at_us as f64 - best.at_us as f64;
-        let moved_us = since_us * drift.unwrap_or(0.0) * 1e-6;
-        let doubt_ppm = if drift.is_some() { DRIFT_MAX_PPM / 10.0 } else { DRIFT_MAX_PPM };
-        let uncertainty_us = best.round_trip_us.div_ceil(2) + (age_us * doubt_ppm * 1e-6) as u64;
         Some(Difference {
-            offset_us: best.offset_us + moved_us as i64,
-            uncertainty_us,
-            drift_ppm: drift.unwrap_or(0.0),
+            offset_us: best.offset_us + (since_us * drift_ppm * 1e-6).round() as i64,
+            uncertainty_us: uncertainty_us(best),
+            drift_ppm,
             round_trip_us: best.round_trip_us,
         })
     }
 
-    /// The slope of the line through the better half of the answers.
-    fn drift_ppm(&self) -> Option<f64> {
-        let (first, last) = (self.answers.front()?, self.answers.back()?);
-        if last.at_us - first.at_us < DRIFT_AFTER_US {
-            return None;
+    /// The line through the best answer of the older half and that of the newer, and by
+    /// how much it may be wrong: each end by half its round trip.
+    fn drift_ppm(&self) -> (f64, f64) {
+        let (older, newer) = self.answers.as_slices();
+        let all: Vec<&Answer> = older.iter().chain(newer).collect();
+        let (older, newer) = all.split_at(all.len() / 2);
+        let best = |half: &[&Answer]| half.iter().min_by_key(|it| it.round_trip_us).map(|it| **it);
+        let (Some(from), Some(to)) = (best(older), best(newer)) else {
+            return (0.0, DRIFT_MAX_PPM);
+        };
+        let time_us = (to.at_us - from.at_us) as f64;
+        let doubt_ppm = (from.round_trip_us + to.round_trip_us) as f64 / 2.0 / time_us * 1e6;
+        if doubt_ppm >= DRIFT_MAX_PPM {
+            return (0.0, DRIFT_MAX_PPM);
         }
-        let mut better: Vec<Answer> = self.answers.iter().copied().collect();
-        better.sort_by_key(|answer| answer.round_trip_us);
-        better.truncate(better.len().div_ceil(2));
-        let count = better.len() as f64;
-        let at = |answer: &Answer| (answer.at_us - first.at_us) as f64;
-        let offset = |answer: &Answer| (answer.offset_us - first.offset_us) as f64;
-        let mean_at = better.iter().map(at).sum::<f64>() / count;
-        let mean_offset = better.iter().map(offset).sum::<f64>() / count;
-        let spread: f64 = better.iter().map(|it| (at(it) - mean_at).powi(2)).sum();
-        let together: f64 =
-            better.iter().map(|it| (at(it) - mean_at) * (offset(it) - mean_offset)).sum();
-        (spread > 0.0).then(|| (together / spread * 1e6).clamp(-DRIFT_MAX_PPM, DRIFT_MAX_PPM))
+        let moved_us = (to.offset_us - from.offset_us) as f64;
+        let drift_ppm = (moved_us / time_us * 1e6).clamp(-DRIFT_MAX_PPM, DRIFT_MAX_PPM);
+        (drift_ppm, doubt_ppm)
     }
 }
 
@@ -120,7 +117,7 @@ mod tests {
 
     #[test]
     fn the_offset_is_within_the_uncertainty_and_the_drift_is_found() {
-        for seconds in [1, 5, 20, 200] {
+        for seconds in [1, 2, 5, 20, 200, 1_000] {
             let at_us = (seconds - 1) * 1_000_000;
             let known = asked(seconds).difference(at_us).unwrap();
             let truly_us = 1_000_000 + (seconds as i64 - 1) * 20;
@@ -134,7 +131,7 @@ mod tests {
             even.learn(asked_us, asked_us + 500 + second * 20, asked_us + 1_000);
         }
         let drift_ppm = even.difference(60_000_000).unwrap().drift_ppm;
-        assert!((drift_ppm - 20.0).abs() < 0.1, "{drift_ppm}");
+        assert!((drift_ppm - 20.0).abs() < 1.0, "{drift_ppm}");
     }
 
     #[test]

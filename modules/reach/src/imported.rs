@@ -4,6 +4,7 @@
 //! nobody. Whatever comes is checked before it touches a node: it is of our format,
 //! of the size and the revision that were announced, and newer than the one before.
 
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
 use uorb_core::{RawPublication, now_us};
@@ -11,8 +12,9 @@ use uorb_core::{RawPublication, now_us};
 use crate::clock::Clock;
 use crate::communicator::lock;
 use crate::counts::Counts;
+use crate::ledger::Mark;
 use crate::translate::Timestamps;
-use crate::wire::Header;
+use crate::wire::{Count, Header};
 
 /// The end of a topic at which messages come in.
 #[derive(Debug)]
@@ -21,7 +23,11 @@ pub(crate) struct Incoming {
     publication: Option<RawPublication>,
     revision: u32,
     /// The message before. None: what comes next begins the count.
-    before: Option<Header>,
+    before: Option<Count>,
+    /// Messages that came before this process did, and are no part of what is missing.
+    came_earlier: u32,
+    /// From where the next reach is to count, should this one be killed.
+    mark: Option<Mark>,
     translation: Option<Translation>,
     message: Vec<u8>,
     counts: Arc<Counts>,
@@ -36,8 +42,16 @@ pub(crate) struct Translation {
 
 impl Incoming {
     pub(crate) fn new(counts: Arc<Counts>) -> Self {
-        let (publication, before, translation) = (None, None, None);
-        Self { publication, revision: 0, before, translation, message: Vec::new(), counts }
+        Self {
+            publication: None,
+            revision: 0,
+            before: None,
+            came_earlier: 0,
+            mark: None,
+            translation: None,
+            message: Vec::new(),
+            counts,
+        }
     }
 
     /// Publishes from now on what comes.
@@ -49,7 +63,7 @@ impl Incoming {
     ) {
         if self.revision != revision {
             // Its generations are others.
-            self.before = None;
+            self.rest();
         }
         (self.publication, self.revision) = (Some(publication), revision);
         self.translation = translation;
@@ -63,7 +77,19 @@ impl Incoming {
 
     /// Nobody here wants it now: what is published there meanwhile is not missing.
     pub(crate) fn rest(&mut self) {
-        self.before = None;
+        (self.before, self.mark, self.came_earlier) = (None, None, 0);
+    }
+
+    /// Counts on from where a reach before us has begun, of whose messages so many
+    /// have come.
+    pub(crate) fn count_from(&mut self, mark: Mark, came_earlier: u32) {
+        self.revision = mark.revision;
+        (self.before, self.mark, self.came_earlier) = (Some(mark.there), Some(mark), came_earlier);
+        self.counts.count_lost(mark.lost);
+    }
+
+    pub(crate) fn mark(&self) -> Option<Mark> {
+        self.mark
     }
 
     /// uORBCommunicator's `process_received_message`.
@@ -77,13 +103,11 @@ impl Incoming {
             self.counts.count_refused();
             return;
         };
-        let lost = match &self.before {
+        let lost = match self.before.map(|before| header.count.lost_since(&before)) {
             None => 0,
-            Some(before) => match header.lost_since(before) {
-                Some(lost) => lost,
-                // The newest message again, which was sent for somebody else.
-                None => return,
-            },
+            Some(Some(lost)) => lost.saturating_sub(self.came_earlier),
+            // The newest message again, which was sent for somebody else.
+            Some(None) => return,
         };
         let published = match &self.translation {
             None => publication.publish(message),
@@ -97,10 +121,15 @@ impl Incoming {
                 publication.publish(&self.message)
             }
         };
-        if published.is_ok() {
-            self.before = Some(header);
-            self.counts.count_lost(lost.into());
-            self.counts.count_message(bytes.len());
+        let Ok(here) = published else { return };
+        self.counts.count_lost(lost.into());
+        self.counts.count_message(bytes.len());
+        let begins = self.before.is_none_or(|before| before.run != header.count.run);
+        if begins {
+            let (revision, there, here) = (self.revision, header.count, here.get());
+            let lost = self.counts.lost.load(Ordering::Relaxed);
+            self.mark = Some(Mark { revision, there, here, lost });
         }
+        (self.before, self.came_earlier) = (Some(header.count), 0);
     }
 }

@@ -13,6 +13,7 @@ use crate::counts::Counts;
 use crate::exports::to_mhz;
 use crate::imported::{Incoming, Translation};
 use crate::keys::{Place, Remote};
+use crate::ledger::{Entry, Ledger, Mark};
 use crate::rules::Rules;
 use crate::translate::Timestamps;
 use crate::wire::{About, NotSound};
@@ -34,6 +35,9 @@ pub(crate) struct Imports {
     topics: BTreeMap<Remote, Import>,
     machines: BTreeMap<Place, Machine>,
     advertised: BTreeSet<(Remote, u32)>,
+    ledger: Ledger,
+    /// What is in the ledger, of each topic.
+    marks: Vec<Option<Mark>>,
 }
 
 /// One of them.
@@ -90,6 +94,8 @@ impl Imports {
             topics: BTreeMap::new(),
             machines: BTreeMap::new(),
             advertised: BTreeSet::new(),
+            ledger: Ledger::open(session),
+            marks: Vec::new(),
         }
     }
 
@@ -123,7 +129,20 @@ impl Imports {
             let rate_mhz = rule.and_then(|rule| rule.rate_hz).map(to_mhz);
             import.follow_demand(&self.communicator, remote, rate_mhz)?;
         }
+        self.note();
         Ok(())
+    }
+
+    /// Leaves to the next reach what it is to know.
+    fn note(&mut self) {
+        let marks = self.topics.values().map(Import::mark).collect();
+        if marks == self.marks {
+            return;
+        }
+        self.marks = marks;
+        let entries = self.topics.iter().filter_map(Import::entry).collect();
+        let is_known = |key: &str| self.topics.keys().any(|remote| remote.key() == key);
+        self.ledger.note(entries, is_known);
     }
 
     /// Compares what is advertised with what was.
@@ -151,7 +170,11 @@ impl Imports {
             }
         }
         for (remote, revision) in revisions {
-            self.topics.insert(remote.clone(), Import::new(revision));
+            let mut import = Import::new(revision);
+            if let Some(Entry { instance, mark, .. }) = self.ledger.entry(remote) {
+                import.continue_from(&self.session, remote, *instance, *mark);
+            }
+            self.topics.insert(remote.clone(), import);
         }
         self.machines.values_mut().for_each(|machine| machine.is_there = false);
         for (remote, import) in &self.topics {
@@ -194,6 +217,26 @@ impl Import {
         }
     }
 
+    /// Counts on where a reach before us was killed.
+    fn continue_from(&mut self, session: &Session, remote: &Remote, at: Instance, mark: Mark) {
+        self.last_instance = Some(at);
+        let node = Node::open(session.system(), &remote.source.topic, at, Role::Observer);
+        // Where the node is another one by now, there is nothing to count on from.
+        if let Ok(node) = node {
+            lock(&self.incoming).count_from(mark, mark.published_since(&node));
+        }
+    }
+
+    fn mark(&self) -> Option<Mark> {
+        lock(&self.incoming).mark()
+    }
+
+    /// What the next reach is to know of it.
+    fn entry((remote, import): (&Remote, &Self)) -> Option<Entry> {
+        let (instance, mark) = (import.last_instance?, import.mark()?);
+        Some(Entry { key: remote.key(), instance, mark })
+    }
+
     /// Publishes it here, as soon as it is known what its messages are.
     fn arrive(
         &mut self,
@@ -207,7 +250,9 @@ impl Import {
         }
         if let Some(answer) = communicator.about(remote) {
             let arrived = match About::decode(&answer, &remote.source.topic, revision) {
-                Ok(about) => self.publish(session, about, revision, clock),
+                Ok(about) => {
+                    self.publish(session, (about, remote.source.instance), revision, clock)
+                }
                 Err(NotSound::Revision) => return Ok(()),
                 Err(error) => Err(error.into()),
             };
@@ -225,17 +270,15 @@ impl Import {
     fn publish(
         &mut self,
         session: &Session,
-        about: About,
+        (about, far): (About, Instance),
         revision: u32,
         clock: Option<Arc<Mutex<Clock>>>,
     ) -> anyhow::Result<()> {
         let topic = &about.metadata.name;
-        let mut claim = Claim::Lowest;
-        if let Some(instance) = self.last_instance
-            && !session.exists(topic, instance)?
-        {
-            claim = Claim::Shared(instance);
-        }
+        // The instance it had, or has over there, if nobody here has that one.
+        let wished = self.last_instance.unwrap_or(far);
+        let is_free = !session.exists(topic, wished)?;
+        let claim = if is_free { Claim::Shared(wished) } else { Claim::Lowest };
         let queue_length = Some(about.metadata.queue_length);
         let options = AdvertiseOptions { claim, priority: about.priority, queue_length };
         let publication = RawPublication::advertise(session, &about.metadata, options)?;
@@ -281,8 +324,10 @@ impl Import {
             let incoming = self.incoming.clone();
             let receive = move |bytes: &[u8]| lock(&incoming).process_received_message(bytes);
             here.added = Some(communicator.add_subscription(remote, rate_mhz, receive)?);
-        } else if !is_wanted && let Some(added) = here.added.take() {
-            communicator.remove_subscription(added);
+        } else if !is_wanted {
+            if let Some(added) = here.added.take() {
+                communicator.remove_subscription(added);
+            }
             lock(&self.incoming).rest();
         }
         Ok(())

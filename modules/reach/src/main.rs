@@ -15,6 +15,7 @@ mod exports;
 mod imported;
 mod imports;
 mod keys;
+mod ledger;
 mod outgoing;
 mod rules;
 mod status;

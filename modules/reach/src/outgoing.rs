@@ -22,7 +22,7 @@ use crate::communicator::{Communicator, lock, send_message};
 use crate::counts::Counts;
 use crate::keys::Source;
 use crate::rules::Crossing;
-use crate::wire::Header;
+use crate::wire::{Count, Header};
 
 /// How long a message that does not ring may wait to be looked for.
 const TICK: Duration = Duration::from_millis(2);
@@ -30,6 +30,7 @@ const IDLE_TICK: Duration = Duration::from_millis(20);
 
 /// So many messages of one topic leave before the next has its turn.
 const TURN: usize = 64;
+const TURNS_MAX: usize = 64;
 
 /// A topic that somebody wants.
 #[derive(Clone, Debug)]
@@ -126,8 +127,15 @@ impl Leaving {
                 seen = if self.follow_orders() { changes } else { seen };
             }
             self.wait();
-            for followed in self.followed.values_mut() {
-                followed.send_all(&self.session, self.run);
+            // A publisher without a pause does not keep us from all else.
+            for _ in 0..TURNS_MAX {
+                let mut has_more = false;
+                for followed in self.followed.values_mut() {
+                    has_more |= followed.send_some(&self.session, self.run);
+                }
+                if !has_more {
+                    break;
+                }
             }
         }
     }
@@ -198,12 +206,13 @@ impl Followed {
         self.order = order;
     }
 
-    fn send_all(&mut self, session: &Session, run: u32) {
+    /// Sends what there is, though not without end. True: there may be more.
+    fn send_some(&mut self, session: &Session, run: u32) -> bool {
         for _ in 0..TURN {
             if !self.copy_next() {
-                return;
+                return false;
             }
-            let Some(copied) = self.subscription.last_copied() else { return };
+            let Some(copied) = self.subscription.last_copied() else { return false };
             let generation = copied.generation.get();
             let left_out = self.count_up_to(generation);
             if copied.peer == session.peer() {
@@ -216,9 +225,7 @@ impl Followed {
                 queue_length: self.order.queue_length,
                 revision: self.order.revision,
                 size_bytes: self.message.len() as u32,
-                run,
-                generation,
-                left_out,
+                count: Count { run, generation, left_out },
                 publish_time_us: copied.publish_time_us,
             };
             let message = ZBytes::from(header.encode(&self.message));
@@ -226,6 +233,7 @@ impl Followed {
             send_message(&self.sender, message.clone());
             self.newest = Some(message);
         }
+        true
     }
 
     /// Counts what is missing before this message: it was lost, or else nobody wanted

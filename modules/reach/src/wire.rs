@@ -13,7 +13,7 @@
 //! | 24 | `u64` | when it was published, in microseconds of the sender's CLOCK_MONOTONIC |
 //!
 //! Numbers are little-endian. Where generations are missing that were not left out,
-//! messages were lost: [`Header::lost_since`].
+//! messages were lost: [`Count::lost_since`].
 
 use serde::{Deserialize, Serialize};
 use uorb_core::{Layout, LayoutFault, Metadata, Priority, QueueLength};
@@ -79,6 +79,14 @@ fn fnv(bytes: &[u8]) -> u32 {
     bytes.iter().fold(0x811c_9dc5, step)
 }
 
+/// Where a message stands among those of its topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Count {
+    pub(crate) run: u32,
+    pub(crate) generation: u32,
+    pub(crate) left_out: u32,
+}
+
 /// What stands before a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Header {
@@ -86,9 +94,7 @@ pub(crate) struct Header {
     pub(crate) queue_length: QueueLength,
     pub(crate) revision: u32,
     pub(crate) size_bytes: u32,
-    pub(crate) run: u32,
-    pub(crate) generation: u32,
-    pub(crate) left_out: u32,
+    pub(crate) count: Count,
     pub(crate) publish_time_us: u64,
 }
 
@@ -98,7 +104,8 @@ impl Header {
         bytes.push(VERSION);
         bytes.push(self.priority.0);
         bytes.extend_from_slice(&(self.queue_length.get() as u16).to_le_bytes());
-        for word in [self.revision, self.size_bytes, self.run, self.generation, self.left_out] {
+        let Count { run, generation, left_out } = self.count;
+        for word in [self.revision, self.size_bytes, run, generation, left_out] {
             bytes.extend_from_slice(&word.to_le_bytes());
         }
         bytes.extend_from_slice(&self.publish_time_us.to_le_bytes());
@@ -117,15 +124,15 @@ impl Header {
             queue_length: QueueLength::new(queue_length.into())?,
             revision: word(4),
             size_bytes: word(8),
-            run: word(12),
-            generation: word(16),
-            left_out: word(20),
+            count: Count { run: word(12), generation: word(16), left_out: word(20) },
             publish_time_us: u64::from(word(24)) | u64::from(word(28)) << 32,
         };
         (bytes[0] == VERSION && header.size_bytes as usize == message.len())
             .then_some((header, message))
     }
+}
 
+impl Count {
     /// How many messages are missing between an earlier one and this one. None:
     /// this one is not the later one.
     pub(crate) fn lost_since(&self, earlier: &Self) -> Option<u32> {
@@ -144,15 +151,17 @@ impl Header {
 mod tests {
     use super::*;
 
+    fn count(generation: u32, left_out: u32) -> Count {
+        Count { run: 9, generation, left_out }
+    }
+
     fn header(generation: u32, left_out: u32) -> Header {
         Header {
             priority: Priority::HIGH,
             queue_length: QueueLength::at_least(16),
             revision: 0x0123_4567,
             size_bytes: 3,
-            run: 9,
-            generation,
-            left_out,
+            count: count(generation, left_out),
             publish_time_us: 0x0123_4567_89ab_cdef,
         }
     }
@@ -172,15 +181,15 @@ mod tests {
 
     #[test]
     fn what_is_missing_and_was_not_left_out_is_lost() {
-        assert_eq!(header(8, 0).lost_since(&header(7, 0)), Some(0));
-        assert_eq!(header(10, 0).lost_since(&header(7, 0)), Some(2));
-        assert_eq!(header(17, 9).lost_since(&header(7, 0)), Some(0), "a rate was asked for");
-        assert_eq!(header(18, 9).lost_since(&header(7, 0)), Some(1));
-        assert_eq!(header(2, 0).lost_since(&header(u32::MAX, 0)), Some(2), "across the wrap");
-        assert_eq!(header(7, 0).lost_since(&header(7, 0)), None, "the same again");
-        assert_eq!(header(6, 0).lost_since(&header(7, 0)), None, "out of order");
-        let restarted = Header { run: 10, ..header(20, 2) };
-        assert_eq!(restarted.lost_since(&header(7, 100)), Some(10));
+        assert_eq!(count(8, 0).lost_since(&count(7, 0)), Some(0));
+        assert_eq!(count(10, 0).lost_since(&count(7, 0)), Some(2));
+        assert_eq!(count(17, 9).lost_since(&count(7, 0)), Some(0), "a rate was asked for");
+        assert_eq!(count(18, 9).lost_since(&count(7, 0)), Some(1));
+        assert_eq!(count(2, 0).lost_since(&count(u32::MAX, 0)), Some(2), "across the wrap");
+        assert_eq!(count(7, 0).lost_since(&count(7, 0)), None, "the same again");
+        assert_eq!(count(6, 0).lost_since(&count(7, 0)), None, "out of order");
+        let restarted = Count { run: 10, ..count(20, 2) };
+        assert_eq!(restarted.lost_since(&count(7, 100)), Some(10));
     }
 
     #[test]
