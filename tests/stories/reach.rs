@@ -193,6 +193,10 @@ fn what_there_is_to_know_of_a_topic_crosses_with_it() {
     assert_eq!(look(&b, "stamped", 0).unwrap().published, 0, "their own is their own");
     says(&b, "import", "stamped", "instance", 1);
     says(&b, "import", "stamped", "far_instance", 3);
+    let info = b.uorb(&["info", "stamped"]).fine();
+    assert!(info.contains("  reach      from a/0, instance 3: "), "{info}");
+    let info = a.uorb(&["info", "stamped"]).fine();
+    assert!(info.contains("  reach      to 1 other machines: "), "{info}");
 }
 
 #[test]

@@ -7,6 +7,7 @@
 //! is interested compares with what there was: nothing queues up.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -27,7 +28,7 @@ use crate::wire::About;
 
 /// The most topics, and subscriptions, of others that are remembered: what comes
 /// from the network has a bound.
-const HEARD_MAX: usize = 10_000;
+const HEARD_MAX: usize = 100_000;
 
 /// How long an answer may take.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -48,6 +49,8 @@ pub(crate) struct Communicator {
 /// What is known of others.
 #[derive(Debug, Default)]
 struct Heard {
+    /// Counts what follows coming and going.
+    changes: AtomicU64,
     /// Which topics they have, by revision.
     advertised: Mutex<BTreeSet<(Remote, u32)>>,
     /// Who subscribes to topics of ours.
@@ -101,7 +104,7 @@ impl Communicator {
         let hear = move |sample: Sample| {
             let token = Remote::parse_token(sample.key_expr());
             let token = token.filter(|(remote, _)| remote.place != place);
-            note(&heard.advertised, token, sample.kind());
+            heard.note(&heard.advertised, token, sample.kind());
         };
         let tokens = session.liveliness().declare_subscriber(Remote::ALL_TOKENS);
         tokens.history(true).callback(hear).background().wait()?;
@@ -110,7 +113,7 @@ impl Communicator {
         let place = ours.clone();
         let hear = move |sample: Sample| {
             let wish = Wish::parse(sample.key_expr()).filter(|wish| wish.place != place);
-            note(&heard.wanted, wish, sample.kind());
+            heard.note(&heard.wanted, wish, sample.kind());
         };
         let wishes = session.liveliness().declare_subscriber(ours.all_wanted());
         wishes.history(true).callback(hear).background().wait()?;
@@ -236,6 +239,11 @@ impl Communicator {
         question.wait().map_err(words)
     }
 
+    /// Changes whenever what follows does.
+    pub(crate) fn changes(&self) -> u64 {
+        self.heard.changes.load(Ordering::Acquire)
+    }
+
     /// The topics that others have now.
     pub(crate) fn advertised(&self) -> BTreeSet<(Remote, u32)> {
         lock(&self.heard.advertised).clone()
@@ -251,14 +259,17 @@ impl Communicator {
     }
 }
 
-/// Keeps a set as tokens come and go.
-fn note<T: Ord>(set: &Mutex<BTreeSet<T>>, token: Option<T>, kind: SampleKind) {
-    let Some(token) = token else { return };
-    let mut set = lock(set);
-    match kind {
-        SampleKind::Put if set.len() < HEARD_MAX => _ = set.insert(token),
-        SampleKind::Put => {}
-        SampleKind::Delete => _ = set.remove(&token),
+impl Heard {
+    /// Keeps a set as tokens come and go.
+    fn note<T: Ord>(&self, set: &Mutex<BTreeSet<T>>, token: Option<T>, kind: SampleKind) {
+        let Some(token) = token else { return };
+        let mut set = lock(set);
+        match kind {
+            SampleKind::Put if set.len() < HEARD_MAX => _ = set.insert(token),
+            SampleKind::Put => {}
+            SampleKind::Delete => _ = set.remove(&token),
+        }
+        self.changes.fetch_add(1, Ordering::Release);
     }
 }
 

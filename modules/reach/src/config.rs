@@ -2,7 +2,9 @@
 //! what we think is right.
 //!
 //! Unless somebody asks for it, it listens nowhere and looks for nobody. Whoever
-//! listens is a router of zenoh, so that those who connect reach each other too.
+//! listens is a router of zenoh, and who only connects its client: so those who connect
+//! reach each other, too. Of several places to connect to a client takes the first that
+//! answers.
 
 use std::path::Path;
 
@@ -40,7 +42,7 @@ pub(crate) fn config(
 }
 
 fn defaults(connect: &[String], listen: &[String]) -> Value {
-    let mode = if listen.is_empty() { "peer" } else { "router" };
+    let mode = if listen.is_empty() { "client" } else { "router" };
     json!({
         "mode": mode,
         "listen": { "endpoints": listen },
@@ -94,7 +96,7 @@ mod tests {
         assert_eq!(at(&config, "listen/endpoints"), "[]");
         assert_eq!(at(&config, "connect/endpoints"), "[\"tcp/127.0.0.1:7447\"]");
         assert_eq!(at(&config, "scouting/multicast/enabled"), "false");
-        assert_eq!(at(&config, "mode"), "\"peer\"");
+        assert_eq!(at(&config, "mode"), "\"client\"");
     }
 
     #[test]
@@ -104,7 +106,7 @@ mod tests {
             &mut below,
             json!({ "mode": "client", "transport": { "link": { "tls": { "x": 1 } } } }),
         );
-        assert_eq!(below["mode"], "client");
+        assert_eq!(below["mode"], "peer");
         assert_eq!(below["connect"]["endpoints"], json!(["a"]));
         assert_eq!(below["transport"]["link"]["tls"]["x"], 1);
         assert_eq!(below["transport"]["link"]["tx"]["lease"], LEASE_MS);

@@ -31,8 +31,8 @@ pub(crate) struct Exports {
     patient: Outgoing,
     prompt: Outgoing,
     topics: BTreeMap<Source, Export>,
-    /// The orders that were given last.
-    wishes: BTreeSet<Wish>,
+    /// How much of what others want has been heard.
+    heard: u64,
     must_order: bool,
     nodes_changed: Option<SystemTime>,
     list_at_us: u64,
@@ -68,7 +68,7 @@ impl Exports {
             patient: start("patient")?,
             prompt: start("prompt")?,
             topics: BTreeMap::new(),
-            wishes: BTreeSet::new(),
+            heard: 0,
             must_order: false,
             nodes_changed: None,
             list_at_us: 0,
@@ -133,10 +133,11 @@ impl Exports {
 
     /// Has the threads carry out what is wanted, if that has changed.
     fn hear_wishes(&mut self) {
-        let wishes = self.communicator.wanted();
-        if wishes == self.wishes && !self.must_order {
+        let changes = self.communicator.changes();
+        if changes == self.heard && !self.must_order {
             return;
         }
+        let wishes = self.communicator.wanted();
         for (source, export) in &mut self.topics {
             let its = wishes.iter().filter(|wish| wish.source == *source);
             let wanted_by: BTreeSet<Place> = its.map(|wish| wish.place.clone()).collect();
@@ -149,7 +150,7 @@ impl Exports {
             orders.into_iter().partition(|(_, order)| order.crossing == Crossing::Reliable);
         self.patient.order(patient);
         self.prompt.order(prompt);
-        (self.wishes, self.must_order) = (wishes, false);
+        (self.heard, self.must_order) = (changes, false);
     }
 
     fn orders(&self, wishes: &BTreeSet<Wish>) -> impl Iterator<Item = (Source, Order)> {

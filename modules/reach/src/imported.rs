@@ -24,13 +24,22 @@ pub(crate) struct Incoming {
     revision: u32,
     /// The message before. None: what comes next begins the count.
     before: Option<Count>,
-    /// Messages that came before this process did, and are no part of what is missing.
-    came_earlier: u32,
+    /// What a reach before us has left here, until a message comes.
+    inheritance: Option<Inheritance>,
     /// From where the next reach is to count, should this one be killed.
     mark: Option<Mark>,
     translation: Option<Translation>,
     message: Vec<u8>,
     counts: Arc<Counts>,
+}
+
+/// What a reach that was killed has published since its mark.
+#[derive(Debug)]
+pub(crate) struct Inheritance {
+    /// How many messages.
+    pub(crate) published: u32,
+    /// The last of them: whoever sends begins with the newest, and that may be it.
+    pub(crate) newest: Vec<u8>,
 }
 
 /// Timestamps, and the clock that they are of.
@@ -46,7 +55,7 @@ impl Incoming {
             publication: None,
             revision: 0,
             before: None,
-            came_earlier: 0,
+            inheritance: None,
             mark: None,
             translation: None,
             message: Vec::new(),
@@ -77,14 +86,14 @@ impl Incoming {
 
     /// Nobody here wants it now: what is published there meanwhile is not missing.
     pub(crate) fn rest(&mut self) {
-        (self.before, self.mark, self.came_earlier) = (None, None, 0);
+        (self.before, self.mark, self.inheritance) = (None, None, None);
     }
 
-    /// Counts on from where a reach before us has begun, of whose messages so many
-    /// have come.
-    pub(crate) fn count_from(&mut self, mark: Mark, came_earlier: u32) {
+    /// Counts on from where a reach before us has begun.
+    pub(crate) fn count_from(&mut self, mark: Mark, inheritance: Inheritance) {
         self.revision = mark.revision;
-        (self.before, self.mark, self.came_earlier) = (Some(mark.there), Some(mark), came_earlier);
+        (self.before, self.mark) = (Some(mark.there), Some(mark));
+        self.inheritance = Some(inheritance);
         self.counts.count_lost(mark.lost);
     }
 
@@ -103,12 +112,20 @@ impl Incoming {
             self.counts.count_refused();
             return;
         };
-        let lost = match self.before.map(|before| header.count.lost_since(&before)) {
-            None => 0,
-            Some(Some(lost)) => lost.saturating_sub(self.came_earlier),
-            // The newest message again, which was sent for somebody else.
-            Some(None) => return,
-        };
+        // None: the newest message again, which was sent for somebody else.
+        let Some(missing) = missing_since(self.before, header.count) else { return };
+        let mut lost = missing;
+        if let Some(Inheritance { published, newest }) = self.inheritance.take() {
+            let none = Timestamps::default();
+            let translated = self.translation.as_ref().map_or(&none, |it| &it.timestamps);
+            if translated.is_same(&newest, message) {
+                // It is one of those that were published.
+                self.before = Some(header.count);
+                self.counts.count_lost((missing + 1).saturating_sub(published).into());
+                return;
+            }
+            lost = missing.saturating_sub(published);
+        }
         let published = match &self.translation {
             None => publication.publish(message),
             Some(Translation { timestamps, clock }) => {
@@ -130,6 +147,11 @@ impl Incoming {
             let lost = self.counts.lost.load(Ordering::Relaxed);
             self.mark = Some(Mark { revision, there, here, lost });
         }
-        (self.before, self.came_earlier) = (Some(header.count), 0);
+        self.before = Some(header.count);
     }
+}
+
+/// How many messages are missing before this one. None: it is not newer.
+fn missing_since(before: Option<Count>, now: Count) -> Option<u32> {
+    before.map_or(Some(0), |before| now.lost_since(&before))
 }

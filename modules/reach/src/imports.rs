@@ -5,13 +5,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
 
 use uorb_core::broker_side::{Node, Role};
-use uorb_core::{AdvertiseOptions, Claim, Instance, RawPublication, Session, now_us};
+use uorb_core::{
+    AdvertiseOptions, Claim, Instance, RawPublication, RawSubscription, Session, now_us,
+};
 
 use crate::clock::Clock;
 use crate::communicator::{Added, Communicator, lock};
 use crate::counts::Counts;
 use crate::exports::to_mhz;
-use crate::imported::{Incoming, Translation};
+use crate::imported::{Incoming, Inheritance, Translation};
 use crate::keys::{Place, Remote};
 use crate::ledger::{Entry, Ledger, Mark};
 use crate::rules::Rules;
@@ -35,6 +37,8 @@ pub(crate) struct Imports {
     topics: BTreeMap<Remote, Import>,
     machines: BTreeMap<Place, Machine>,
     advertised: BTreeSet<(Remote, u32)>,
+    /// How much of what others have has been heard.
+    heard: u64,
     ledger: Ledger,
     /// What is in the ledger, of each topic.
     marks: Vec<Option<Mark>>,
@@ -94,6 +98,7 @@ impl Imports {
             topics: BTreeMap::new(),
             machines: BTreeMap::new(),
             advertised: BTreeSet::new(),
+            heard: 0,
             ledger: Ledger::open(session),
             marks: Vec::new(),
         }
@@ -147,10 +152,12 @@ impl Imports {
 
     /// Compares what is advertised with what was.
     fn hear(&mut self) {
-        let advertised = self.communicator.advertised();
-        if advertised == self.advertised {
+        let changes = self.communicator.changes();
+        if changes == self.heard {
             return;
         }
+        self.heard = changes;
+        let advertised = self.communicator.advertised();
         let mut revisions: BTreeMap<&Remote, u32> = BTreeMap::new();
         for (remote, revision) in &advertised {
             let Remote { place, source } = remote;
@@ -220,11 +227,15 @@ impl Import {
     /// Counts on where a reach before us was killed.
     fn continue_from(&mut self, session: &Session, remote: &Remote, at: Instance, mark: Mark) {
         self.last_instance = Some(at);
-        let node = Node::open(session.system(), &remote.source.topic, at, Role::Observer);
+        let topic = &remote.source.topic;
         // Where the node is another one by now, there is nothing to count on from.
-        if let Ok(node) = node {
-            lock(&self.incoming).count_from(mark, mark.published_since(&node));
+        let Ok(node) = Node::open(session.system(), topic, at, Role::Observer) else { return };
+        let published = mark.published_since(&node);
+        let mut newest = Vec::new();
+        if let Ok(mut subscription) = RawSubscription::subscribe(session, topic, at) {
+            subscription.copy(&mut newest);
         }
+        lock(&self.incoming).count_from(mark, Inheritance { published, newest });
     }
 
     fn mark(&self) -> Option<Mark> {

@@ -22,6 +22,18 @@ impl Timestamps {
         Self { offsets_bytes: times.map(|field| field.offset_bytes as usize).collect() }
     }
 
+    /// Whether two messages are one, but for these times.
+    pub(crate) fn is_same(&self, one: &[u8], other: &[u8]) -> bool {
+        let without = |message: &[u8]| {
+            let mut message = message.to_vec();
+            for at in &self.offsets_bytes {
+                message.iter_mut().skip(*at).take(size_of::<u64>()).for_each(|byte| *byte = 0);
+            }
+            message
+        };
+        without(one) == without(other)
+    }
+
     /// Translates them, where the other clock is ahead by `offset_us`. Zero is no time
     /// and stays; what was before our clock began is 1.
     pub(crate) fn translate(&self, message: &mut [u8], offset_us: i64) {
