@@ -65,6 +65,9 @@ const LOOK_EVERY_US: u64 = 10_000;
 /// How long a reach that was killed may still be known to the broker.
 const PREDECESSOR_US: u64 = 1_000_000;
 
+/// How long to wait before it says that it waits.
+const SAY_AFTER_US: u64 = 1_000_000;
+
 /// Topics of this machine on others, and of others on this one.
 #[derive(Parser, Debug)]
 #[command(name = "reach", version, after_help = EXAMPLES, args_conflicts_with_subcommands = true)]
@@ -149,7 +152,7 @@ fn reach(
     wait_for_predecessor(session, stop)?;
     raise_descriptor_limit();
     let mut telling = Telling::new(session)?;
-    let communicator = Arc::new(Communicator::open(config, place.clone())?);
+    let Some(communicator) = connect(config, &place, stop)? else { return Ok(()) };
     writeln!(out, "[reach] this is {place}")?;
 
     // What this run is called: none before it, and none at the same time elsewhere.
@@ -161,6 +164,29 @@ fn reach(
         telling.tell(&exports, &imports)?;
     }
     Ok(())
+}
+
+/// Opens the network, which takes until somebody answers where it only connects. None:
+/// it is to end before that.
+fn connect(
+    config: zenoh::Config,
+    place: &Place,
+    stop: &Stop,
+) -> anyhow::Result<Option<Arc<Communicator>>> {
+    let its = place.clone();
+    let opening = std::thread::spawn(move || Communicator::open(config, its));
+    let (begun_us, mut has_said) = (now_us(), false);
+    while !opening.is_finished() {
+        if !stop.sleep_until(now_us() + LOOK_EVERY_US) {
+            return Ok(None);
+        }
+        if !has_said && now_us() > begun_us + SAY_AFTER_US {
+            eprintln!("reach: nobody lets {place} in yet; it goes on trying");
+            has_said = true;
+        }
+    }
+    let opened = opening.join().map_err(|_| anyhow!("zenoh has panicked"))?;
+    Ok(Some(Arc::new(opened?)))
 }
 
 impl Options {

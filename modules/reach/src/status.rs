@@ -49,7 +49,7 @@ fn hear(session: &Session) -> anyhow::Result<Vec<ReachStatus>> {
     if all.is_empty() {
         Ok(all)
     } else {
-        bail!("the reach that runs here does not answer: it may be stopped")
+        bail!("the reach that runs here says nothing: nobody has let it in yet, or it is stopped")
     }
 }
 
