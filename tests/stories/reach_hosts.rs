@@ -1,5 +1,8 @@
 //! `reach` between machines: network namespaces, and links that are late, lossy,
 //! slow, and cut. Where a test may not make them these are skipped, and say so.
+//!
+//! `UORB_REACH_KILLS=50` kills more often than CI has time for; `UORB_SEED` repeats one
+//! that was printed.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::{JoinHandle, sleep};
 use std::time::Duration;
 
-use uorb_core::{Error, QueueLength, RawSubscription, Session, StreamOptions, poll};
+use uorb_core::{Error, QueueLength, RawSubscription, Session, StreamOptions, now_us, poll};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 
@@ -27,6 +27,9 @@ use crate::wire::{Count, Header};
 /// How long a message that does not ring may wait to be looked for.
 const TICK: Duration = Duration::from_millis(2);
 const IDLE_TICK: Duration = Duration::from_millis(20);
+
+/// When to try again what could not be followed.
+const TRY_AGAIN_US: u64 = 500_000;
 
 /// So many messages of one topic leave before the next has its turn.
 const TURN: usize = 64;
@@ -78,6 +81,7 @@ impl Outgoing {
             shared: shared.clone(),
             run,
             followed: BTreeMap::new(),
+            refused: BTreeMap::new(),
         };
         let builder = std::thread::Builder::new().name(name.into());
         Ok(Self { shared, thread: Some(builder.spawn(move || leaving.run())?) })
@@ -104,6 +108,8 @@ struct Leaving {
     shared: Arc<Shared>,
     run: u32,
     followed: BTreeMap<Source, Followed>,
+    /// What could not be followed, and why.
+    refused: BTreeMap<Source, String>,
 }
 
 struct Followed {
@@ -119,12 +125,13 @@ struct Followed {
 
 impl Leaving {
     fn run(&mut self) {
-        let mut seen = 0;
+        let (mut seen, mut try_at_us) = (0, 0);
         while !self.shared.has_ended.load(Ordering::Relaxed) && !self.session.has_ended() {
             let changes = self.shared.changes.load(Ordering::Acquire);
-            if changes != seen {
-                // What could not be followed now is tried again.
-                seen = if self.follow_orders() { changes } else { seen };
+            if changes != seen || now_us() >= try_at_us {
+                seen = changes;
+                let is_done = self.follow_orders();
+                try_at_us = if is_done { u64::MAX } else { now_us() + TRY_AGAIN_US };
             }
             self.wait();
             // A publisher without a pause does not keep us from all else.
@@ -153,11 +160,25 @@ impl Leaving {
                 continue;
             }
             match Followed::begin(&self.session, &self.communicator, &source, order) {
-                Ok(followed) => _ = self.followed.insert(source, followed),
-                Err(_) => is_done = false,
+                Ok(followed) => {
+                    self.refused.remove(&source);
+                    self.followed.insert(source, followed);
+                }
+                Err(why) => {
+                    is_done = false;
+                    self.refuse(source, &why.to_string());
+                }
             }
         }
         is_done
+    }
+
+    /// Says why a topic cannot be followed, the first time.
+    fn refuse(&mut self, source: Source, why: &str) {
+        let before = self.refused.insert(source.clone(), why.to_string());
+        if before.as_deref() != Some(why) {
+            eprintln!("reach: {source} cannot be sent: {why}; it is tried again");
+        }
     }
 
     /// Until an express message is there, or it is time to look.
