@@ -17,6 +17,7 @@
 //! | control | `actuator_armed`, `actuator_controls`, `actuator_controls_0`, `actuator_controls_1`, `actuator_controls_2`, `actuator_controls_3`, `actuator_controls_virtual_fw`, `actuator_controls_virtual_mc`, `ca_trajectory_msg`, `mc_att_ctrl_status` |
 //! | vehicle | `battery_status`, `commander_state`, `esc_report`, `esc_status`, `mission`, `offboard_mission`, `onboard_mission`, `safety`, `vehicle_command` |
 //! | logging | `log_message`, `logger_status` |
+//! | other machines | `reach_status` |
 //! | uORB's own tests | `orb_multitest`, `orb_test`, `orb_test_large`, `orb_test_medium`, `orb_test_medium_multi`, `orb_test_medium_queue`, `orb_test_medium_queue_poll`, `orb_test_medium_wrap_around` |
 //!
 //! # A topic of your own

@@ -33,7 +33,7 @@ fn a_struct_has_as_many_bytes_as_its_layout_says() {
         ActuatorArmed ActuatorControls BatteryStatus CaTrajectoryMsg CommanderState ControlState
         Ekf2Innovations Ekf2Timestamps EscReport EscStatus EstimatorStatus LogMessage LoggerStatus
         McAttCtrlStatus Mission
-        OrbTest OrbTestLarge OrbTestMedium Safety SensorAccel SensorBaro SensorCombined SensorGyro
+        OrbTest OrbTestLarge OrbTestMedium ReachStatus Safety SensorAccel SensorBaro SensorCombined SensorGyro
         SensorMag VehicleAcceleration VehicleAttitude VehicleCommand VehicleGpsPosition
     }
     let messages: BTreeSet<&str> = TOPICS.iter().map(|topic| &*topic.layout.name).collect();

@@ -104,7 +104,7 @@ mod tests {
         let mut below = defaults(&["a".into()], &[]);
         overlay(
             &mut below,
-            json!({ "mode": "client", "transport": { "link": { "tls": { "x": 1 } } } }),
+            json!({ "mode": "peer", "transport": { "link": { "tls": { "x": 1 } } } }),
         );
         assert_eq!(below["mode"], "peer");
         assert_eq!(below["connect"]["endpoints"], json!(["a"]));
