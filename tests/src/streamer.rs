@@ -10,7 +10,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout};
 use uorb_core::{
     Error, Instance, Publication, Session, StreamOptions, StreamSubscription, System, poll,
 };
-use uorb_tests::{Image, Stamped, heard, number, program};
+use uorb_tests::{Image, PATIENCE, Plain, Stamped, heard, number, program};
 
 fn main() -> ExitCode {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL).expect("Linux has it");
@@ -22,6 +22,8 @@ fn main() -> ExitCode {
         ["try-publish-for-ever"] => try_publish_for_ever(),
         ["follow", depth] => follow(number(depth) as u32, false),
         ["follow-and-press", depth] => follow(number(depth) as u32, true),
+        ["follow-blindly"] => follow_blindly(),
+        ["publish-blindly"] => publish_blindly(),
         ["hold-image"] => hold_image(),
         ["small-memory"] => small_memory(),
         other => panic!("no such streamer: {other:?}"),
@@ -41,6 +43,61 @@ fn is_told() -> bool {
     let input = stdin();
     let mut ready = [PollFd::new(input.as_fd(), PollFlags::POLLIN)];
     nix::poll::poll(&mut ready, PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
+}
+
+/// Follows `plain`, with no descriptor left at a time when a publisher comes, and
+/// says how much it has received and lost up to 100.
+fn follow_blindly() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stream = StreamSubscription::<Plain>::subscribe(&session)?;
+    let next = |stream: &mut StreamSubscription<Plain>| loop {
+        if let Some(plain) = stream.update() {
+            return plain.value;
+        }
+        poll(&mut [stream], Some(PATIENCE)).expect("it is followed");
+    };
+    println!("follows from {}", next(&mut stream));
+    heard();
+    let found = without_descriptors(|| next(&mut stream));
+    println!("was blind at {found}");
+    let mut received = 0;
+    while next(&mut stream) < 100 {
+        received += 1;
+    }
+    println!("{received} before 100, {} lost", stream.lost());
+    Ok(())
+}
+
+/// Publishes `plain`, with no descriptor left at a time when a follower comes.
+fn publish_blindly() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut plain = Publication::<Plain>::advertise(&session)?;
+    let mut publish = |value| plain.publish(&Plain { value });
+    publish(0)?;
+    without_descriptors(|| {
+        println!("is blind");
+        heard();
+        publish(1)
+    })?;
+    println!("is blind no more");
+    heard();
+    // It tries again at the next message, as soon as the pause is over that has
+    // grown while it was blind.
+    std::thread::sleep(Duration::from_millis(5));
+    (2..=100).try_for_each(|value| publish(value).map(|_| ()))?;
+    heard();
+    Ok(())
+}
+
+/// Does something while this process can open nothing.
+fn without_descriptors<T>(work: impl FnOnce() -> T) -> T {
+    use nix::sys::resource::{Resource, getrlimit, setrlimit};
+    let (soft, hard) = getrlimit(Resource::RLIMIT_NOFILE).expect("there is a limit");
+    let limit = |soft| setrlimit(Resource::RLIMIT_NOFILE, soft, hard).expect("up to the hard one");
+    limit(3);
+    let done = work();
+    limit(soft);
+    done
 }
 
 /// Publishes a number of messages flat out, from `go` on; where it tries, each

@@ -293,7 +293,8 @@ fn a_broker_is_replaced_while_it_runs_and_nobody_loses_anything() {
 
     let second = bus.running_broker().expect("another one runs");
     assert_ne!(first, second);
-    assert!(!is_running(first));
+    // The kernel takes a killed process's locks from it a little before its life.
+    eventually("the first one has gone", || !is_running(first));
     assert_eq!(replaced.code, 0, "{}", replaced.words);
     let (system, words) = (&bus.system, replaced.words);
     assert_eq!(words, format!("uorb: broker started at {system}, pid {second}\n"));

@@ -336,6 +336,7 @@ fn an_installed_tree_is_complete() {
         "lib/libuorb.a",
         "lib/libuorb_px4.a",
         "share/man/man1/uorb-msg.1",
+        "share/man/man1/uorb-ulog-info.1",
         "share/uorb/msg/sensor_accel.msg",
     ] {
         assert!(prefix.join(file).is_file(), "no {file}");

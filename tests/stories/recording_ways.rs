@@ -85,6 +85,21 @@ fn the_next_file_leaves_one_that_is_there_alone() {
 }
 
 #[test]
+fn a_recording_says_who_was_on_the_bus_when_it_began() {
+    let mut bus = Bus::start();
+    let mut plain = bus.advertise::<Plain>();
+    plain.publish(&Plain { value: 1 }).unwrap();
+    let Recording { mut recorder, path } = Recording::begin(&bus, "who.ulg", &[]);
+    recorder.interrupt();
+
+    let info = bus.uorb(&["ulog", "info", "-v", path.to_str().unwrap()]).out;
+
+    let us = format!("{:>7} stories ", std::process::id());
+    let ours = info.lines().find(|line| line.starts_with(&us)).unwrap_or_else(|| panic!("{info}"));
+    assert!(ours.ends_with("   1    0"), "{ours}");
+}
+
+#[test]
 fn a_topic_with_a_rate_has_no_more_messages_than_that() {
     let mut bus = Bus::start();
     let mut plain = bus.advertise::<Plain>();

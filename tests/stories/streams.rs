@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout};
 use nix::sys::signal::Signal;
-use uorb_core::broker_side::Refusal;
+use uorb_core::broker_side::{Refusal, open_stream};
 use uorb_core::{
     Error, Instance, Publication, RawSubscription, Session, StreamOptions, StreamSubscription,
-    depth_max, poll,
+    Topic, World, depth_max, poll,
 };
 use uorb_tests::{Actor, Bus, Image, PATIENCE, Plain, Stamped, eventually, program};
 
@@ -487,4 +487,68 @@ fn what_a_publisher_sent_before_it_went_is_received_by_one_who_looks_later() {
         assert_eq!(stream.update(), Some(&Plain { value }));
     }
     assert_eq!(stream.lost(), 0);
+}
+
+#[test]
+fn a_follower_that_could_not_connect_to_a_publisher_tries_again() {
+    let mut bus = Bus::start();
+    let mut keeper = bus.advertise::<Plain>();
+    keeper.publish(&Plain { value: 0 }).unwrap();
+    let mut follower = streamer(&bus, &["follow-blindly"]);
+    follower.expect("follows from 0");
+
+    let mut newcomer = bus.advertise::<Plain>();
+    follower.say("somebody new is there");
+    keeper.publish(&Plain { value: 1 }).unwrap();
+    follower.expect("was blind at 1");
+    // More than the node keeps.
+    for value in 2..=100 {
+        newcomer.publish(&Plain { value }).unwrap();
+    }
+
+    assert_eq!(follower.finish(), ["98 before 100, 0 lost"]);
+}
+
+#[test]
+fn a_publisher_that_could_not_connect_to_a_follower_tries_again() {
+    let mut bus = Bus::start();
+    // So that the publisher has its port before it is blind.
+    let _first = bus.stream::<Plain>();
+    let mut publisher = streamer(&bus, &["publish-blindly"]);
+    publisher.expect("is blind");
+    let mut second = bus.stream::<Plain>();
+    let mut received = Vec::new();
+    let mut receive_up_to = |value| {
+        while received.last() != Some(&value) {
+            match second.update() {
+                Some(plain) => received.push(plain.value),
+                None => _ = poll(&mut [&mut second], Some(PATIENCE)).unwrap(),
+            }
+        }
+    };
+    publisher.say("somebody follows");
+    publisher.expect("is blind no more");
+    // What the node forgets at the next message.
+    receive_up_to(1);
+    publisher.say("it was received");
+    receive_up_to(100);
+    publisher.finish();
+
+    assert_eq!(received, (0..=100).collect::<Vec<_>>());
+    assert_eq!(second.lost(), 0);
+}
+
+#[test]
+fn a_stream_that_is_followed_is_there_for_publishers_when_no_broker_is() {
+    let mut bus = Bus::start();
+    let _follower = bus.stream::<Plain>();
+    bus.kill_broker();
+    let newcomer = World::of(&bus.system).join("newcomer").unwrap();
+    // What the next broker does first.
+    newcomer.node.try_cleanup_dead_nodes();
+
+    let opened =
+        open_stream(&newcomer, &bus.system, &Plain::METADATA, Instance::FIRST, false).map(|_| ());
+
+    assert_eq!(opened, Ok(()));
 }

@@ -136,7 +136,7 @@ pub mod broker_side {
     pub use crate::ring::{PEER_MAX, PUBLISHERS_MAX};
     pub use crate::stream::port::Executor;
     pub use crate::stream::{
-        Events, Ipc, Member, Stream, Unfinished, open as open_stream, service_name,
+        Events, Inbox, Ipc, Member, Stream, Unfinished, open as open_stream, service_name,
     };
     pub use crate::transport::{listen_as_broker, receive_packet, send_packet};
 }

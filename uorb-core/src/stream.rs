@@ -13,9 +13,11 @@
 
 #![allow(unsafe_code)]
 
+mod inbox;
 pub(crate) mod port;
 pub(crate) mod reader;
 mod room;
+mod unconnected;
 mod unfinished;
 mod world;
 
@@ -28,6 +30,7 @@ use crate::ring::PUBLISHERS_MAX;
 use crate::system::System;
 use crate::topic::{Instance, Metadata};
 
+pub use inbox::Inbox;
 pub use unfinished::Unfinished;
 pub use world::{Member, World};
 

@@ -16,15 +16,14 @@ use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
 use anyhow::Context;
-use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::service::port_factory::PortFactory;
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use tracing::{debug, warn};
 use uorb_core::broker_side::{
-    Events, Executor, Foreigners, Ipc, Member, Node, Stream, Unfinished, open_stream,
+    Events, Executor, Foreigners, Inbox, Ipc, Member, Node, Stream, Unfinished, open_stream,
 };
-use uorb_core::{System, UorbHeader, World, fail_point};
+use uorb_core::{System, World, fail_point};
 
 use crate::broker::ring;
 use crate::limits::{CLEAN_UP_INTERVAL, LOOK_INTERVAL, UNFINISHED_INTERVAL};
@@ -160,7 +159,7 @@ struct Kept {
     stream: Stream,
     events: Events,
     /// Of a large topic: what holds its newest message.
-    newest: Option<Subscriber<Ipc, [u8], UorbHeader>>,
+    newest: Option<Inbox>,
     foreign: (u64, u64),
     /// What sends for the dead, once it was needed.
     executor: Option<Executor>,
@@ -171,6 +170,13 @@ struct Kept {
 }
 
 impl Kept {
+    /// Maps new ports, where the newest message is kept.
+    fn connect(&mut self) {
+        if let Some(newest) = &mut self.newest {
+            newest.connect(&self.stream);
+        }
+    }
+
     /// The publishers that are none of ours, by their ports. The log has a line of
     /// each that was there at the last look, too.
     fn strangers(&mut self, key: &NodeKey) -> HashSet<u128> {
@@ -276,7 +282,7 @@ impl Keeper<'_> {
         let newest = metadata
             .layout
             .is_large()
-            .then(|| stream.subscriber_builder().buffer_size(1).create())
+            .then(|| Inbox::open(&stream, 1))
             .transpose()
             .map_err(|why| format!("cannot keep {}{}: iceoryx2 says {why:?}", key.0, key.1))?;
         // An adopted node has what the broker before us saw.
@@ -290,19 +296,19 @@ impl Keeper<'_> {
     }
 
     /// Maps a new port: what is sent there from now on outlives it.
-    fn connect(&self, key: &NodeKey) {
-        if let Some(newest) = self.kept.get(key).and_then(|kept| kept.newest.as_ref()) {
-            let _ = newest.has_samples();
+    fn connect(&mut self, key: &NodeKey) {
+        if let Some(kept) = self.kept.get_mut(key) {
+            kept.connect();
         }
     }
 
     /// Keeps the newest message of a large topic in its node.
-    fn save(&self, key: &NodeKey) {
-        let Some(kept) = self.kept.get(key) else { return };
+    fn save(&mut self, key: &NodeKey) {
+        let Some(kept) = self.kept.get_mut(key) else { return };
         let received = kept
             .newest
-            .iter()
-            .flat_map(|newest| std::iter::from_fn(|| newest.receive().ok().flatten()));
+            .iter_mut()
+            .flat_map(|newest| std::iter::from_fn(|| newest.receive(&kept.stream)));
         for sample in received.filter(|sample| kept.node.has_port_id(sample.origin().value())) {
             let header = sample.user_header();
             let stamp = (header.publish_time_us, header.publisher);
@@ -333,9 +339,7 @@ impl Keeper<'_> {
         fail_point!("stream.cleaning");
         // It takes the ports of all who are dead, also of those whose death is not
         // heard of yet: what they have sent outlives them once it is mapped.
-        for newest in self.kept.values().filter_map(|kept| kept.newest.as_ref()) {
-            let _ = newest.has_samples();
-        }
+        self.kept.values_mut().for_each(Kept::connect);
         if let Ok(member) = &self.member {
             member.node.try_cleanup_dead_nodes();
             fail_point!("stream.cleaned");
@@ -349,9 +353,7 @@ impl Keeper<'_> {
             self.clean_up();
         }
         for (key, kept) in &mut self.kept {
-            if let Some(newest) = &kept.newest {
-                let _ = newest.has_samples();
-            }
+            kept.connect();
             if let Some(executor) = &kept.executor {
                 executor.tidy();
             }

@@ -18,7 +18,7 @@ use uorb_tests::Stamped;
 
 use crate::ledger::{Cell, Late, LateWhat, Ledger, Phase, Word};
 use crate::random::Random;
-use crate::shared_topic::{bytes_of, is_large, is_pressed, metadata, read};
+use crate::shared_topic::{self, bytes_of, is_large, is_pressed, metadata, read};
 
 /// The topic of which every claimer has an instance.
 pub(crate) const CLAIMED: &str = "chaos_claimed";
@@ -86,6 +86,24 @@ pub(crate) fn publish_until_killed(topic: &str) -> std::process::ExitCode {
         std::thread::sleep(PAUSE);
     }
     std::process::ExitCode::SUCCESS
+}
+
+/// Follows the stream of a topic, and says of each message what its count is, and
+/// how many were lost up to there.
+pub(crate) fn follow_until_killed(topic: &str) -> std::process::ExitCode {
+    nix::sys::prctl::set_pdeathsig(Signal::SIGKILL).expect("Linux has it");
+    let session = Session::connect().expect("a broker runs");
+    let options = StreamOptions::default();
+    let mut stream =
+        RawSubscription::subscribe_stream(&session, topic, Instance::FIRST, options).unwrap();
+    let mut bytes = Vec::new();
+    loop {
+        poll(&mut [&mut stream], None).expect("the system has not ended");
+        while stream.updated() && stream.copy(&mut bytes) {
+            let count = shared_topic::read(&bytes).expect("one of ours").count;
+            println!("message {count}, lost {}", stream.lost());
+        }
+    }
 }
 
 /// Signals end waits, and do nothing else.

@@ -77,6 +77,9 @@ fn main() -> ExitCode {
     if arguments.get(1).is_some_and(|word| word == "publish") {
         return actor::publish_until_killed(&arguments[2]);
     }
+    if arguments.get(1).is_some_and(|word| word == "follow") {
+        return actor::follow_until_killed(&arguments[2]);
+    }
     let args = Args::parse();
     uorb_tests::raise_descriptor_limit();
     let seed = args.seed.unwrap_or_else(|| now_us() % 1_000_000);

@@ -230,3 +230,27 @@ fn a_large_message_of_one_who_died_while_others_were_cleaned_up_after_is_kept() 
     eventually("its last message is there", || newcomer.copy(&mut bytes));
     assert_eq!(newcomer.last_copied().map(|copied| copied.generation.get()), Some(3));
 }
+
+#[test]
+fn a_follower_that_was_held_up_at_its_beginning_loses_nothing() {
+    let mut bus = Bus::without_broker();
+    start_broker(&mut bus, None);
+    let mut stamped = bus.advertise::<Stamped>();
+    stamped.publish(&Stamped::new(1, 0)).unwrap();
+    let mut command = bus.command(&program("chaos"));
+    command.args(["follow", "stamped"]).env("UORB_STOP_AT", "follow.begun:1");
+    let mut follower = command.stdout(Stdio::piped()).spawn().unwrap();
+    eventually("it has looked what is newest", || is_stopped(follower.id()));
+
+    // More than the node keeps.
+    for count in 2..=100 {
+        stamped.publish(&Stamped::new(count, 0)).unwrap();
+    }
+    go_on(follower.id());
+
+    let mut line = String::new();
+    BufReader::new(follower.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+    assert_eq!(line, "message 2, lost 0\n");
+    follower.kill().unwrap();
+    follower.wait().unwrap();
+}

@@ -327,7 +327,7 @@ impl Node {
     // The last section of a large topic's node.
 
     /// The generation of the message that outlived its publisher; 0 if none did.
-    pub(crate) fn last_generation(&self) -> u64 {
+    pub fn last_generation(&self) -> u64 {
         let generation =
             |last: &Mapping| last.words()[last_section::GENERATION].load(Ordering::Acquire);
         self.last.as_ref().map_or(0, generation)

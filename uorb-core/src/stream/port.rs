@@ -12,11 +12,13 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory;
 
 use super::room::{check_room, mapping_of, no_room, populate};
-use super::{Events, Ipc, LOANED_MAX, Member, UorbHeader, port_bytes, slots, stride_bytes};
+use super::unconnected::Unconnected;
+use super::{Events, Ipc, LOANED_MAX, Member, Stream, UorbHeader, port_bytes, slots, stride_bytes};
 use crate::error::Error;
 use crate::node::Node;
 use crate::ring::Stamp;
@@ -82,6 +84,9 @@ pub(crate) struct Port {
 #[derive(Debug)]
 struct Ends {
     publisher: Publisher<Ipc, [u8], UorbHeader>,
+    /// The subscribers that it has missed, and where they are looked for.
+    unconnected: Unconnected,
+    stream: Stream,
     notifier: Notifier<Ipc>,
     /// Of a large topic: where its messages begin, and which of them have their
     /// pages.
@@ -103,11 +108,13 @@ impl Port {
         let (stream, events) = super::open(member, system, metadata, node.identity.instance, false)
             .map_err(|what| Error::stream(&name, what))?;
         let slots = slots(layout.size_bytes);
+        let unconnected = Unconnected::default();
         let publisher = stream
             .publisher_builder()
             .initial_max_slice_len(layout.size_bytes as usize)
             .max_loaned_samples(LOANED_MAX)
             .override_sample_preallocation(move |_| slots)
+            .set_degradation_handler(unconnected.handler(|missed| missed.receiver_port_id))
             .create()
             .map_err(|why| Error::stream(&name, format!("no port: iceoryx2 says {why:?}")))?;
         let notifier = events
@@ -116,7 +123,14 @@ impl Port {
             .map_err(|why| Error::stream(&name, format!("no notifier: iceoryx2 says {why:?}")))?;
         let port = Self {
             id: publisher.id().value(),
-            ends: Mutex::new(Ends { publisher, notifier, first: 0, populated: Vec::new() }),
+            ends: Mutex::new(Ends {
+                publisher,
+                unconnected,
+                stream,
+                notifier,
+                first: 0,
+                populated: Vec::new(),
+            }),
             events,
             size_bytes: layout.size_bytes as usize,
             is_large: layout.is_large(),
@@ -194,7 +208,9 @@ impl Port {
     /// the stream. Whoever it does not reach finds it missing.
     #[inline]
     pub(crate) fn send(&self, loaned: Loaned, generation: u64, stamp: Stamp) {
-        let _ends = self.ends();
+        let mut ends = self.ends();
+        // Sending does this, too; but then the message has passed whom it missed.
+        ends.connect();
         let mut sample = ManuallyDrop::into_inner(loaned.sample);
         *sample.user_header_mut() = UorbHeader {
             generation: generation as u32,
@@ -219,8 +235,50 @@ impl Port {
     }
 
     fn update_connections(&self) {
-        // What cannot be told now is told at the next send.
-        let _ = self.ends().publisher.update_connections();
+        self.ends().connect();
+    }
+}
+
+impl Ends {
+    /// Connects the port to the subscribers that are new.
+    #[inline]
+    fn connect(&mut self) {
+        // What fails is noted, or else is fatal to the message's sending, too.
+        let _ = self.publisher.update_connections();
+        if self.unconnected.any() {
+            self.connect_again();
+        }
+    }
+
+    #[cold]
+    fn connect_again(&mut self) {
+        let Self { publisher, unconnected, stream, .. } = self;
+        let is_there = |port| {
+            let mut is_there = false;
+            stream.dynamic_config().list_subscribers(|subscriber| {
+                is_there |= subscriber.subscriber_id.value() == port;
+                CallbackProgression::Continue
+            });
+            is_there
+        };
+        while unconnected.any() {
+            if unconnected.is_due(is_there) {
+                // It comes and goes, and the publisher looks again.
+                let subscriber = stream
+                    .subscriber_builder()
+                    .buffer_size(1)
+                    .set_degradation_handler(Unconnected::default().handler(|_| 0))
+                    .create();
+                if subscriber.is_ok() {
+                    unconnected.forget();
+                }
+                drop(subscriber);
+                let _ = publisher.update_connections();
+            } else if !unconnected.is_hopeful() {
+                return;
+            }
+            std::hint::spin_loop();
+        }
     }
 }
 

@@ -13,12 +13,11 @@ use std::fmt;
 use std::mem::MaybeUninit;
 use std::ptr::NonNull;
 
-use iceoryx2::port::ReceiveError;
-use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::sample::Sample;
 
+use super::inbox::Inbox;
 use super::room::check_room;
-use super::{Ipc, Member, OVERRUN_MAX, UorbHeader, depth_max};
+use super::{Events, Ipc, Member, OVERRUN_MAX, Stream, UorbHeader, depth_max};
 use crate::clock::now_us;
 use crate::error::Error;
 use crate::node::Node;
@@ -36,7 +35,11 @@ type Message = Sample<Ipc, [u8], UorbHeader>;
 
 /// iceoryx2's and our own state of following a stream.
 pub(crate) struct Reader {
-    subscriber: Subscriber<Ipc, [u8], UorbHeader>,
+    inbox: Inbox,
+    stream: Stream,
+    /// Kept so that a publisher finds them, who comes when the broker has died and
+    /// the next one has not made them yet.
+    _events: Events,
     /// Which of the node's stream entries is ours.
     index: usize,
     size_bytes: usize,
@@ -56,7 +59,7 @@ pub(crate) struct Reader {
     lost: u64,
 }
 
-// SAFETY: the subscriber and the messages borrowed from it share counters that
+// SAFETY: the inbox and the messages borrowed from it share counters that
 // are not atomic, and nothing that belongs to a thread. All of them are in here,
 // and reached by an exclusive reference only, so by one thread at a time.
 unsafe impl Send for Reader {}
@@ -109,17 +112,16 @@ impl Reader {
     ) -> Result<Self, Error> {
         let (metadata, name) = (&node.identity.metadata, node.name());
         check_room(&name, 0)?;
-        let (stream, _) = super::open(member, system, metadata, node.identity.instance, false)
+        let (stream, events) = super::open(member, system, metadata, node.identity.instance, false)
             .map_err(|what| Error::stream(&name, what))?;
         let depth = (wish.depth as usize).clamp(1, depth_max(metadata.layout.size_bytes) as usize);
         let overrun = if wish.back_pressure { OVERRUN_MAX } else { 0 };
-        let subscriber = stream
-            .subscriber_builder()
-            .buffer_size(depth + overrun)
-            .create()
+        let inbox = Inbox::open(&stream, depth + overrun)
             .map_err(|why| Error::stream(&name, format!("no queue: iceoryx2 says {why:?}")))?;
         Ok(Self {
-            subscriber,
+            inbox,
+            stream,
+            _events: events,
             index,
             size_bytes: metadata.layout.size_bytes as usize,
             is_large: metadata.layout.is_large(),
@@ -155,12 +157,17 @@ impl Reader {
     }
 
     /// Keeps the message that the subscription begins with: by the time that it
-    /// is asked for, the node may have forgotten it. False: it is not there yet.
-    pub(crate) fn begin(&mut self, node: &Node, generation: u64) -> bool {
-        if let Ok(Place::Here(stamp)) = self.find(node, generation) {
-            self.ahead = Some(Found { generation, stamp });
+    /// is asked for, the node may have forgotten it.
+    pub(crate) fn begin(&mut self, node: &Node, generation: u64) -> Next {
+        match self.find(node, generation) {
+            Ok(Place::Here(stamp)) => {
+                let found = Found { generation, stamp };
+                self.ahead = Some(found);
+                Next::Found(found)
+            }
+            Ok(Place::Nowhere) => Next::AllLost(generation),
+            Ok(Place::OnItsWay) | Err(_) => Next::NotYet,
         }
-        self.ahead.is_some()
     }
 
     /// Looks for the message after `cursor`, or, where that is lost, the next
@@ -244,8 +251,11 @@ impl Reader {
             }
         }
         // It may have been sent since we looked there.
-        let sent = self.take_from_stream(node, wanted);
-        Ok(sent.map_or(Place::Nowhere, Place::Here))
+        Ok(match self.take_from_stream(node, wanted) {
+            Some(stamp) => Place::Here(stamp),
+            None if self.inbox.is_connecting() => Place::OnItsWay,
+            None => Place::Nowhere,
+        })
     }
 
     fn find_in_node(
@@ -322,14 +332,9 @@ impl Reader {
     #[inline]
     fn receive(&mut self, node: &Node, known: u64) -> Option<(u64, Message)> {
         loop {
-            let sample = match self.subscriber.receive() {
-                Ok(sample) => sample?,
-                // Every publisher that has sent anything has sent something
-                // later than what is wanted, and that is put aside.
-                Err(ReceiveError::ExceedsMaxBorrows) => return None,
-                // A port that is just going, or no memory to map it.
-                Err(ReceiveError::ConnectionFailure(_)) => return None,
-            };
+            // None, too, where every publisher that has sent anything has sent
+            // something later than what is wanted, and that is put aside.
+            let sample = self.inbox.receive(&self.stream)?;
             // Widened from the low 32 bits: it is at most the newest.
             let newest = node.newest(known);
             let behind = (newest as u32).wrapping_sub(sample.user_header().generation);

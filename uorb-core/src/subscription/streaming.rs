@@ -58,7 +58,16 @@ impl RawSubscription {
         if node.has_newer(self.cursor) {
             let (newest, is_large) = (self.cursor + 1, layout.is_large());
             let timeout = if is_large { PORTS_TIMEOUT } else { Duration::ZERO };
-            self.wait_until(node, timeout, || reader.begin(node, newest))?;
+            let mut first = Next::NotYet;
+            self.wait_until(node, timeout, || {
+                first = reader.begin(node, newest);
+                matches!(first, Next::Found(_))
+            })?;
+            // It was overwritten since we have looked, and is not the newest any more.
+            if let (Next::AllLost(older), false) = (first, is_large) {
+                self.cursor = older;
+                reader.pass_over(node, older);
+            }
         }
         self.reader = Some(Box::new(reader));
         Ok(())

@@ -4,12 +4,16 @@
 use std::collections::HashSet;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use uorb_core::broker_side::{Reply, Request};
 use uorb_core::{Layout, Session, Topic, now_us};
 
 use super::run::written;
 use super::words::Words;
 use super::{Pipe, Plan, RecordError, ReplayReady};
 use crate::writer::{Head, ParameterValue, Value, Writer};
+
+/// Under this name PX4 has what `top` shows before the flight.
+const PROCESSES: &str = "perf_top_preflight";
 
 /// PX4's parameter of the local time, in minutes.
 const UTC_OFFSET: &str = "SDLOG_UTC_OFFSET";
@@ -37,11 +41,22 @@ fn is_logged(plan: &Plan, topic: &str, layout: &Layout) -> bool {
         && Words::of(topic, layout).is_none()
 }
 
+/// The processes on the bus, as a table. Empty where the broker does not say.
+pub(super) fn processes(session: &Session) -> Vec<String> {
+    let Ok(Reply::Peers(peers)) = session.ask(Request::Peers) else { return Vec::new() };
+    let title = format!("{:>7} {:<24} {:>4} {:>4}\n", "PID", "PROCESS", "PUBS", "SUBS");
+    let lines = peers.iter().map(|it| {
+        format!("{:>7} {:<24} {:>4} {:>4}\n", it.pid, it.name, it.publications, it.subscriptions)
+    });
+    std::iter::once(title).chain(lines).collect()
+}
+
 /// Begins a file: the topics of the bus first, and then those that may come.
 pub(super) fn begin_file<'a>(
     plan: &Plan,
     pipe: &'a Pipe,
     mut topics: Vec<(String, Layout)>,
+    processes: &[String],
 ) -> Writer<&'a Pipe> {
     topics.extend(plan.known.iter().filter(|(name, it)| is_logged(plan, name, it)).cloned());
     let mut names = HashSet::new();
@@ -51,7 +66,7 @@ pub(super) fn begin_file<'a>(
         infos: infos(plan),
         topics,
         parameters: plan.parameters.clone(),
-        texts: Vec::new(),
+        texts: vec![(PROCESSES.to_string(), processes.to_vec())],
     };
     let writer = written(Writer::begin(pipe, &head));
     pipe.hurry();

@@ -9,7 +9,7 @@ use uorb_core::{RawSubscription, Session, now_us};
 
 use super::files::Files;
 use super::follow::{Followed, Standing};
-use super::head::{begin_file, on_the_bus};
+use super::head::{begin_file, on_the_bus, processes};
 use super::{Pipe, Plan, RecordError, Tally};
 use crate::writer::{Announced, Level, Writer};
 
@@ -29,6 +29,8 @@ pub(super) struct Recorder<'a> {
     pub(super) plan: &'a Plan,
     pipe: &'a Pipe,
     files: Files,
+    /// Who was on the bus when it began.
+    processes: Vec<String>,
     pub(super) writer: Writer<&'a Pipe>,
     pub(super) followed: Vec<Followed>,
     /// Of replays, whether all is followed.
@@ -67,12 +69,14 @@ impl<'a> Recorder<'a> {
         let (path, file) = files.next()?;
         pipe.next_file(path.clone(), file);
         let began_us = now_us();
-        let writer = begin_file(plan, pipe, topics);
+        let processes = processes(session);
+        let writer = begin_file(plan, pipe, topics, &processes);
         let mut recorder = Self {
             session,
             plan,
             pipe,
             files,
+            processes,
             writer,
             followed: Vec::new(),
             questions: Vec::new(),
@@ -203,7 +207,7 @@ impl<'a> Recorder<'a> {
             self.pipe.next_file(path.clone(), file);
             self.tally.files.push(path);
         }
-        self.writer = begin_file(self.plan, self.pipe, topics);
+        self.writer = begin_file(self.plan, self.pipe, topics, &self.processes);
         for it in &mut self.followed {
             let Standing::Messages(id) = &mut it.standing else { continue };
             let number = it.subscription.instance().number();

@@ -26,8 +26,9 @@ impl Era<'_> {
         let json: Result<serde_json::Value, _> = serde_json::from_str(&status.out);
         let peers = json.as_ref().ok().and_then(|json| json["peers"].as_array().map(Vec::len));
         if status.code != 0 || peers != Some(living) {
-            let words = status.words;
-            self.fault(format!("uorb status says {peers:?} processes, not {living}: {words}"));
+            let said = status.out + &status.words;
+            let connected = self.connected();
+            self.fault(format!("uorb status knows not the {living} in {connected:?}: {said}"));
         }
         self.look_at_what_survivors_hold();
         self.processes.clear();

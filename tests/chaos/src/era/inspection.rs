@@ -1,12 +1,13 @@
 //! What must be so when everybody has paused.
 
 use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
 
 use uorb_core::Instance;
 use uorb_core::broker_side::{Node, Reply, Request, Role};
 use uorb_tests::instance;
 
-use super::{Era, HELD_MAX, HELD_ON_STREAM_MAX, RESTART_US, TICK, Totals};
+use super::{Era, HELD_MAX, HELD_ON_STREAM_MAX, LIMIT_US, RESTART_US, TICK, Totals};
 use crate::accounts::Accounts;
 use crate::actor::CLAIMED;
 use crate::bus::Process;
@@ -160,7 +161,23 @@ impl Era<'_> {
             self.fault(format!("slots are held by {holders:?}, and nobody publishes"));
         }
         self.look_at_the_claimed(more_us);
+        self.wait_for_the_last_large_message();
         Ok(())
+    }
+
+    /// Where all publishers of a large topic are gone, the broker is about to keep
+    /// its newest message; or that was never sent, and is lost.
+    fn wait_for_the_last_large_message(&mut self) {
+        if !is_large(self.topic) || self.held().0 > 0 {
+            return;
+        }
+        let newest = self.newest();
+        let deadline = Instant::now() + Duration::from_micros(LIMIT_US);
+        let is_kept =
+            |era: &Self| era.node().is_none_or(|node| node.last_generation() as u32 == newest);
+        while !is_kept(self) && Instant::now() < deadline {
+            std::thread::sleep(TICK);
+        }
     }
 
     fn look_at_the_claimed(&mut self, more_us: u64) {
