@@ -18,6 +18,7 @@
 //! | setpoints | `position_setpoint`, `position_setpoint_triplet`, `vehicle_local_position_setpoint`, `vehicle_attitude_setpoint`, `mc_virtual_attitude_setpoint`, `fw_virtual_attitude_setpoint`, `vehicle_rates_setpoint`, `mc_virtual_rates_setpoint`, `fw_virtual_rates_setpoint` |
 //! | vehicle | `battery_status`, `commander_state`, `cpuload`, `esc_report`, `esc_status`, `home_position`, `mission`, `offboard_mission`, `onboard_mission`, `safety`, `vehicle_command`, `vehicle_command_ack`, `vehicle_land_detected`, `vehicle_status` |
 //! | logging and links | `log_message`, `logger_status`, `mavlink_status` |
+//! | other machines | `reach_status` |
 //! | uORB's own tests | `orb_multitest`, `orb_test`, `orb_test_large`, `orb_test_medium`, `orb_test_medium_multi`, `orb_test_medium_queue`, `orb_test_medium_queue_poll`, `orb_test_medium_wrap_around` |
 //!
 //! # A topic of your own

@@ -34,7 +34,7 @@ fn a_struct_has_as_many_bytes_as_its_layout_says() {
         ControlState Cpuload Ekf2Innovations Ekf2Timestamps EscReport EscStatus EstimatorStatus
         GpsInjectData HomePosition LogMessage LoggerStatus ManualControlSetpoint MavlinkStatus
         McAttCtrlStatus Mission OffboardControlMode OrbTest OrbTestLarge OrbTestMedium
-        PositionSetpoint PositionSetpointTriplet Safety SensorAccel SensorBaro SensorCombined
+        PositionSetpoint PositionSetpointTriplet ReachStatus Safety SensorAccel SensorBaro SensorCombined
         SensorGyro SensorMag
         VehicleAcceleration VehicleAttitude VehicleAttitudeSetpoint VehicleCommand
         VehicleCommandAck VehicleGlobalPosition VehicleGpsPosition VehicleLandDetected

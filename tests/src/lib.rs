@@ -7,6 +7,7 @@
 
 mod foreigner;
 mod hearing;
+mod hosts;
 mod installed;
 mod process;
 mod python;
@@ -30,6 +31,7 @@ use uorb_core::{
 
 pub use self::foreigner::Foreigner;
 pub use self::hearing::{heard, number};
+pub use self::hosts::{Host, Link, Weather};
 pub use self::installed::{Installed, Language, is_there};
 pub use self::process::{Actor, Ended, is_running};
 pub use self::python::Python;

@@ -130,6 +130,12 @@ impl FlightLog {
 }
 
 impl Series {
+    /// All its messages, one after the other.
+    pub(crate) fn bytes(&self) -> Vec<u8> {
+        // Without the two bytes that say which series it is.
+        self.messages.iter().flat_map(|message| &message[2..]).copied().collect()
+    }
+
     pub(crate) fn count(&self) -> usize {
         self.messages.len()
     }

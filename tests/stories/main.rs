@@ -60,6 +60,10 @@ mod places;
 mod plots;
 /// `uorb pub`, `info` and `ls`.
 mod publishing;
+/// `reach`, between buses of one machine.
+mod reach;
+/// `reach`, between machines.
+mod reach_hosts;
 /// `uorb record`.
 mod recording;
 /// `uorb record` when the disk, or it itself, gets into trouble.

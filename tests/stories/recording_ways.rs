@@ -94,7 +94,7 @@ fn a_recording_says_who_was_on_the_bus_when_it_began() {
 
     let info = bus.uorb(&["ulog", "info", "-v", path.to_str().unwrap()]).out;
 
-    let us = format!("{:>7} stories ", std::process::id());
+    let us = format!("{:>7} ", std::process::id());
     let ours = info.lines().find(|line| line.starts_with(&us)).unwrap_or_else(|| panic!("{info}"));
     assert!(ours.ends_with("   1    0"), "{ours}");
 }

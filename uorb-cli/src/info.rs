@@ -4,6 +4,7 @@
 //! taken from two looks at a node: so many messages between the publish times
 //! of the two newest messages that were seen.
 
+mod reach;
 mod stream;
 mod text;
 
@@ -17,6 +18,7 @@ use serde::Serialize;
 use uorb_core::broker_side::{Node, NodeStatus, PeerInfo, Reply, Request, Role, Users};
 use uorb_core::{Error, FieldType, Instance, Layout, Metadata, Session, now_us};
 
+use self::reach::{Crossing, crossings};
 use self::stream::StreamInfo;
 use crate::completions::topic_names;
 use crate::context::Context;
@@ -58,7 +60,10 @@ An instance's stream is an iceoryx2 service with every message. Its followers
 are subscribers that have a queue of their own there: how many messages it
 holds, how many they have still to receive (pending; more than it holds will be
 lost), and how many were lost. Foreign programs may follow it too; what they
-publish there is dropped. `uorb status` says in which world of iceoryx2 it is.";
+publish there is dropped. `uorb status` says in which world of iceoryx2 it is.
+
+Where a `reach` runs that brings the topic in from another machine, or sends it to
+others, it is said how much crosses, and what was lost; this takes a second.";
 
 fn window(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -108,6 +113,8 @@ struct InstanceInfo {
     publishers: Vec<Publisher>,
     subscribers: Vec<Subscriber>,
     stream: StreamInfo,
+    /// To and from other machines.
+    reach: Vec<Crossing>,
 }
 
 /// The newest message.
@@ -176,6 +183,7 @@ fn instances(
     let Reply::Peers(peers) = session.ask(Request::Peers)? else {
         bail!("the broker did not say who is connected");
     };
+    let mut crossings = crossings(session, &args.topic)?;
     let mut instances = Vec::new();
     for (node, before) in nodes.iter().zip(before) {
         let (topic, instance) = (args.topic.clone(), node.identity.instance);
@@ -184,7 +192,9 @@ fn instances(
         };
         let stream = StreamInfo::new(&context.system, node, &peers);
         let now = node.status();
-        instances.push(InstanceInfo::new(instance, [&before, &now], &users, &peers, stream));
+        let reach = crossings.extract_if(.., |it| it.is_of(instance)).collect();
+        let info = InstanceInfo::new(instance, [&before, &now], &users, &peers, stream);
+        instances.push(InstanceInfo { reach, ..info });
     }
     Ok(instances)
 }
@@ -264,6 +274,7 @@ impl InstanceInfo {
                 })
                 .collect(),
             stream,
+            reach: Vec::new(),
         }
     }
 }

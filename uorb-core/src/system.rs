@@ -9,6 +9,7 @@ use std::env;
 use std::fmt;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use crate::error::Error;
 use crate::topic::{INSTANCES_MAX, Instance};
@@ -140,6 +141,11 @@ impl System {
         self.dir().join(".tmp")
     }
 
+    /// What a `reach` that is killed leaves to the next one.
+    pub fn reach(&self) -> PathBuf {
+        self.dir().join("reach.json")
+    }
+
     /// The file of a node: `obj/sensor_accel0`.
     pub fn node(&self, topic: &str, instance: Instance) -> PathBuf {
         self.nodes().join(node_name(topic, instance))
@@ -153,6 +159,11 @@ impl System {
     /// The file that a process holds locked while it lives.
     pub fn peer(&self, peer: u16) -> PathBuf {
         self.peers().join(peer.to_string())
+    }
+
+    /// When a node has come or gone: one look at a directory, where a list is many.
+    pub fn nodes_changed(&self) -> Option<SystemTime> {
+        std::fs::metadata(self.nodes()).ok()?.modified().ok()
     }
 
     /// The nodes there are, by topic and instance. Empty where no broker ever

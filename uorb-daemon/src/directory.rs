@@ -139,7 +139,7 @@ fn make_ours(dir: &Path) -> anyhow::Result<()> {
 
 /// A directory with other things in it is not a system's: it would be emptied.
 fn refuse_strangers(system: &System) -> anyhow::Result<()> {
-    const OURS: [&str; 9] = [
+    const OURS: [&str; 10] = [
         "broker.sock",
         "broker.lock",
         "broker.log",
@@ -149,6 +149,7 @@ fn refuse_strangers(system: &System) -> anyhow::Result<()> {
         "peers",
         ".tmp",
         "iox2",
+        "reach.json",
     ];
     let dir = system.dir();
     for entry in fs::read_dir(&dir).with_context(|| format!("cannot read {}", dir.display()))? {
@@ -223,7 +224,9 @@ fn empty(system: &System) -> anyhow::Result<()> {
             fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
         }
     }
-    let _ = fs::remove_file(system.socket());
+    for file in [system.socket(), system.reach()] {
+        let _ = fs::remove_file(file);
+    }
     Ok(())
 }
 

@@ -78,6 +78,7 @@ fn print_instance(instance: &InstanceInfo, out: &mut dyn Write) -> anyhow::Resul
         }
     }
     instance.stream.print(out)?;
+    instance.reach.iter().try_for_each(|crossing| crossing.print(out))?;
     Ok(())
 }
 
@@ -134,6 +135,7 @@ mod tests {
                 Subscriber { process: process("logger", 4713), subscriptions: 2 },
             ],
             stream: quiet(),
+            reach: Vec::new(),
         });
         let mut out = Vec::new();
         print(&info, &mut out).unwrap();

@@ -10,7 +10,7 @@ use uorb_core::{
 };
 
 use super::choice::Rate;
-use super::run::{Recorder, nodes_changed, written};
+use super::run::{Recorder, written};
 use super::words::Words;
 use super::{RecordError, ReplayReady};
 use crate::writer::{Announced, Level, SeriesId};
@@ -44,7 +44,7 @@ impl Recorder<'_> {
     pub(super) fn search(&mut self) -> Result<(), RecordError> {
         // In this order: what was advertised before a question came is found.
         let is_asked: Vec<bool> = self.questions.iter_mut().map(RawSubscription::updated).collect();
-        self.nodes_changed = nodes_changed(self.session);
+        self.nodes_changed = self.session.system().nodes_changed();
         for index in (0..self.followed.len()).rev() {
             if self.followed[index].subscription.check().is_err() {
                 self.let_go(index);

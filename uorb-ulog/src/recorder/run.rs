@@ -114,7 +114,8 @@ impl<'a> Recorder<'a> {
             } else {
                 let is_asked = self.questions.iter_mut().any(RawSubscription::updated);
                 let is_due = now_us >= self.searched_us + SEARCH_EVERY_US;
-                if is_asked || is_due || self.nodes_changed != nodes_changed(self.session) {
+                if is_asked || is_due || self.nodes_changed != self.session.system().nodes_changed()
+                {
                     self.search()?;
                     self.searched_us = now_us;
                 }
@@ -311,11 +312,6 @@ impl Followed {
     fn record_bytes(&self) -> usize {
         Writer::<&Pipe>::message_bytes(self.layout.size_bytes as usize) + 64
     }
-}
-
-/// When a node has come or gone: one look at a directory, where a list is many.
-pub(super) fn nodes_changed(session: &Session) -> Option<SystemTime> {
-    std::fs::metadata(session.system().nodes()).ok()?.modified().ok()
 }
 
 /// The low half of the newest generation.

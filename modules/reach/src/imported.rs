@@ -1,0 +1,157 @@
+//! One topic of another machine, as it is published here.
+//!
+//! Messages come on threads of zenoh's and are published at once, which waits for
+//! nobody. Whatever comes is checked before it touches a node: it is of our format,
+//! of the size and the revision that were announced, and newer than the one before.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
+
+use uorb_core::{RawPublication, now_us};
+
+use crate::clock::Clock;
+use crate::communicator::lock;
+use crate::counts::Counts;
+use crate::ledger::Mark;
+use crate::translate::Timestamps;
+use crate::wire::{Count, Header};
+
+/// The end of a topic at which messages come in.
+#[derive(Debug)]
+pub(crate) struct Incoming {
+    /// None: the other machine does not have it now.
+    publication: Option<RawPublication>,
+    revision: u32,
+    /// The message before. None: what comes next begins the count.
+    before: Option<Count>,
+    /// What a reach before us has left here, until a message comes.
+    inheritance: Option<Inheritance>,
+    /// From where the next reach is to count, should this one be killed.
+    mark: Option<Mark>,
+    translation: Option<Translation>,
+    message: Vec<u8>,
+    counts: Arc<Counts>,
+}
+
+/// What a reach that was killed has published since its mark.
+#[derive(Debug)]
+pub(crate) struct Inheritance {
+    /// How many messages.
+    pub(crate) published: u32,
+    /// The last of them: whoever sends begins with the newest, and that may be it.
+    pub(crate) newest: Vec<u8>,
+}
+
+/// Timestamps, and the clock that they are of.
+#[derive(Debug)]
+pub(crate) struct Translation {
+    pub(crate) timestamps: Timestamps,
+    pub(crate) clock: Arc<Mutex<Clock>>,
+}
+
+impl Incoming {
+    pub(crate) fn new(counts: Arc<Counts>) -> Self {
+        Self {
+            publication: None,
+            revision: 0,
+            before: None,
+            inheritance: None,
+            mark: None,
+            translation: None,
+            message: Vec::new(),
+            counts,
+        }
+    }
+
+    /// Publishes from now on what comes.
+    pub(crate) fn open(
+        &mut self,
+        publication: RawPublication,
+        revision: u32,
+        translation: Option<Translation>,
+    ) {
+        if self.revision != revision {
+            // Its generations are others.
+            self.rest();
+        }
+        (self.publication, self.revision) = (Some(publication), revision);
+        self.translation = translation;
+    }
+
+    /// The other machine does not have it any more, or is out of reach. What is
+    /// published there meanwhile is missing when it comes back, and counted then.
+    pub(crate) fn close(&mut self) -> Option<RawPublication> {
+        self.publication.take()
+    }
+
+    /// Nobody here wants it now: what is published there meanwhile is not missing.
+    pub(crate) fn rest(&mut self) {
+        (self.before, self.mark, self.inheritance) = (None, None, None);
+    }
+
+    /// Counts on from where a reach before us has begun.
+    pub(crate) fn count_from(&mut self, mark: Mark, inheritance: Inheritance) {
+        self.revision = mark.revision;
+        (self.before, self.mark) = (Some(mark.there), Some(mark));
+        self.inheritance = Some(inheritance);
+        self.counts.count_lost(mark.lost);
+    }
+
+    pub(crate) fn mark(&self) -> Option<Mark> {
+        self.mark
+    }
+
+    /// uORBCommunicator's `process_received_message`.
+    pub(crate) fn process_received_message(&mut self, bytes: &[u8]) {
+        let Some(publication) = &mut self.publication else { return };
+        let decoded = Header::decode(bytes).filter(|(header, message)| {
+            let size_bytes = publication.metadata().layout.size_bytes as usize;
+            header.revision == self.revision && message.len() == size_bytes
+        });
+        let Some((header, message)) = decoded else {
+            self.counts.count_refused();
+            return;
+        };
+        // None: the newest message again, which was sent for somebody else.
+        let Some(missing) = missing_since(self.before, header.count) else { return };
+        let mut lost = missing;
+        if let Some(Inheritance { published, newest }) = self.inheritance.take() {
+            let none = Timestamps::default();
+            let translated = self.translation.as_ref().map_or(&none, |it| &it.timestamps);
+            if translated.is_same(&newest, message) {
+                // It is one of those that were published.
+                self.before = Some(header.count);
+                self.counts.count_lost((missing + 1).saturating_sub(published).into());
+                return;
+            }
+            lost = missing.saturating_sub(published);
+        }
+        let published = match &self.translation {
+            None => publication.publish(message),
+            Some(Translation { timestamps, clock }) => {
+                let known = lock(clock).difference(now_us());
+                // It is not asked for before the clock is known.
+                let Some(known) = known else { return };
+                self.message.clear();
+                self.message.extend_from_slice(message);
+                timestamps.translate(&mut self.message, known.offset_us);
+                publication.publish(&self.message)
+            }
+        };
+        let Ok(here) = published else { return };
+        self.counts.count_lost(lost.into());
+        self.counts.count_message(bytes.len());
+        let begins = self.before.is_none_or(|before| before.run != header.count.run);
+        if begins {
+            let (revision, there, here) = (self.revision, header.count, here.get());
+            let lost = self.counts.lost.load(Ordering::Relaxed);
+            self.mark = Some(Mark { revision, there, here, lost });
+        }
+        self.before = Some(header.count);
+    }
+}
+
+/// How many messages are missing before this one. None: it is not newer.
+fn missing_since(before: Option<Count>, now: Count) -> Option<u32> {
+    before.map_or(Some(0), |before| now.lost_since(&before))
+}

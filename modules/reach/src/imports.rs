@@ -1,0 +1,360 @@
+//! What comes in: topics of other machines, which are published here while they are
+//! there, and asked for while somebody here subscribes.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
+
+use uorb_core::broker_side::{Node, Role};
+use uorb_core::{
+    AdvertiseOptions, Claim, Instance, RawPublication, RawSubscription, Session, now_us,
+};
+
+use crate::clock::Clock;
+use crate::communicator::{Added, Communicator, lock};
+use crate::counts::Counts;
+use crate::exports::to_mhz;
+use crate::imported::{Incoming, Inheritance, Translation};
+use crate::keys::{Place, Remote};
+use crate::ledger::{Entry, Ledger, Mark};
+use crate::rules::Rules;
+use crate::translate::Timestamps;
+use crate::wire::{About, NotSound};
+
+/// How often something that failed is tried again.
+const TRY_AGAIN_US: u64 = 1_000_000;
+
+/// How often another machine is asked what time it is; and at first.
+const CLOCK_EVERY_US: u64 = 1_000_000;
+const CLOCK_AT_FIRST_US: u64 = 100_000;
+const FIRST_ANSWERS: u32 = 10;
+
+/// All topics of others that we may have.
+pub(crate) struct Imports {
+    session: Session,
+    communicator: Arc<Communicator>,
+    rules: Arc<Rules>,
+    translates_time: bool,
+    topics: BTreeMap<Remote, Import>,
+    machines: BTreeMap<Place, Machine>,
+    advertised: BTreeSet<(Remote, u32)>,
+    /// How much of what others have has been heard.
+    heard: u64,
+    ledger: Ledger,
+    /// What is in the ledger, of each topic.
+    marks: Vec<Option<Mark>>,
+}
+
+/// One of them.
+pub(crate) struct Import {
+    /// What the other machine has announced. None: it is gone.
+    revision: Option<u32>,
+    incoming: Arc<Mutex<Incoming>>,
+    pub(crate) counts: Arc<Counts>,
+    /// What of it there is here, for as long as it is published.
+    here: Option<Here>,
+    /// Where it was published last: it gets its instance back, if it can.
+    last_instance: Option<Instance>,
+    try_at_us: u64,
+    /// Why it cannot be published here.
+    pub(crate) refused: Option<String>,
+}
+
+struct Here {
+    node: Node,
+    /// None: nobody here wants it.
+    added: Option<Added>,
+}
+
+/// Another machine.
+#[derive(Default)]
+pub(crate) struct Machine {
+    pub(crate) clock: Arc<Mutex<Clock>>,
+    asked: u32,
+    ask_at_us: u64,
+    pub(crate) is_there: bool,
+}
+
+/// How an import is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum State {
+    Idle,
+    Crossing,
+    Gone,
+    Refused,
+}
+
+impl Imports {
+    pub(crate) fn new(
+        session: &Session,
+        communicator: &Arc<Communicator>,
+        rules: &Arc<Rules>,
+        translates_time: bool,
+    ) -> Self {
+        Self {
+            session: session.clone(),
+            communicator: communicator.clone(),
+            rules: rules.clone(),
+            translates_time,
+            topics: BTreeMap::new(),
+            machines: BTreeMap::new(),
+            advertised: BTreeSet::new(),
+            heard: 0,
+            ledger: Ledger::open(session),
+            marks: Vec::new(),
+        }
+    }
+
+    pub(crate) fn topics(&self) -> impl Iterator<Item = (&Remote, &Import)> {
+        self.topics.iter()
+    }
+
+    pub(crate) fn machines(&self) -> impl Iterator<Item = (&Place, &Machine)> {
+        self.machines.iter()
+    }
+
+    /// Looks at what others have, and at who wants it here.
+    pub(crate) fn look(&mut self) -> anyhow::Result<()> {
+        self.hear();
+        self.ask_clocks()?;
+        for (remote, import) in &mut self.topics {
+            let Some(revision) = import.revision else { continue };
+            if import.here.as_ref().is_some_and(|here| here.node.ending().is_some()) {
+                import.leave(&self.communicator);
+            }
+            if import.here.is_none() {
+                let clock = self.machines.get(&remote.place).map(|machine| machine.clock.clone());
+                let clock = clock.filter(|_| self.translates_time);
+                import.arrive(&self.session, &self.communicator, (remote, revision), clock)?;
+            }
+            let rule = self.rules.import(
+                &remote.place.machine,
+                &remote.source.topic,
+                remote.source.instance,
+            );
+            let rate_mhz = rule.and_then(|rule| rule.rate_hz).map(to_mhz);
+            import.follow_demand(&self.communicator, remote, rate_mhz)?;
+        }
+        self.note();
+        Ok(())
+    }
+
+    /// Leaves to the next reach what it is to know.
+    fn note(&mut self) {
+        let marks = self.topics.values().map(Import::mark).collect();
+        if marks == self.marks {
+            return;
+        }
+        self.marks = marks;
+        let entries = self.topics.iter().filter_map(Import::entry).collect();
+        let is_known = |key: &str| self.topics.keys().any(|remote| remote.key() == key);
+        self.ledger.note(entries, is_known);
+    }
+
+    /// Compares what is advertised with what was.
+    fn hear(&mut self) {
+        let changes = self.communicator.changes();
+        if changes == self.heard {
+            return;
+        }
+        self.heard = changes;
+        let advertised = self.communicator.advertised();
+        let mut revisions: BTreeMap<&Remote, u32> = BTreeMap::new();
+        for (remote, revision) in &advertised {
+            let Remote { place, source } = remote;
+            if self.rules.import(&place.machine, &source.topic, source.instance).is_some() {
+                // Of two the new one is right, which one cannot see: asking tells.
+                let is_new = !self.advertised.contains(&(remote.clone(), *revision));
+                if is_new || !revisions.contains_key(remote) {
+                    revisions.insert(remote, *revision);
+                }
+            }
+        }
+        for (remote, import) in &mut self.topics {
+            let revision = revisions.remove(remote);
+            if import.revision != revision {
+                import.leave(&self.communicator);
+                (import.revision, import.refused, import.try_at_us) = (revision, None, 0);
+            }
+        }
+        for (remote, revision) in revisions {
+            let mut import = Import::new(revision);
+            if let Some(Entry { instance, mark, .. }) = self.ledger.entry(remote) {
+                import.continue_from(&self.session, remote, *instance, *mark);
+            }
+            self.topics.insert(remote.clone(), import);
+        }
+        self.machines.values_mut().for_each(|machine| machine.is_there = false);
+        for (remote, import) in &self.topics {
+            if import.revision.is_some() {
+                self.machines.entry(remote.place.clone()).or_default().is_there = true;
+            }
+        }
+        self.advertised = advertised;
+    }
+
+    fn ask_clocks(&mut self) -> anyhow::Result<()> {
+        let now_us = now_us();
+        for (place, machine) in &mut self.machines {
+            if !machine.is_there || now_us < machine.ask_at_us {
+                continue;
+            }
+            let is_first = machine.asked < FIRST_ANSWERS;
+            machine.ask_at_us = now_us + if is_first { CLOCK_AT_FIRST_US } else { CLOCK_EVERY_US };
+            machine.asked = machine.asked.saturating_add(1);
+            let clock = machine.clock.clone();
+            self.communicator.ask_clock(place, move |asked_us, theirs_us, answered_us| {
+                lock(&clock).learn(asked_us, theirs_us, answered_us);
+            })?;
+        }
+        Ok(())
+    }
+}
+
+impl Import {
+    fn new(revision: u32) -> Self {
+        let counts: Arc<Counts> = Arc::default();
+        Self {
+            revision: Some(revision),
+            incoming: Arc::new(Mutex::new(Incoming::new(counts.clone()))),
+            counts,
+            here: None,
+            last_instance: None,
+            try_at_us: 0,
+            refused: None,
+        }
+    }
+
+    /// Counts on where a reach before us was killed.
+    fn continue_from(&mut self, session: &Session, remote: &Remote, at: Instance, mark: Mark) {
+        self.last_instance = Some(at);
+        let topic = &remote.source.topic;
+        // Where the node is another one by now, there is nothing to count on from.
+        let Ok(node) = Node::open(session.system(), topic, at, Role::Observer) else { return };
+        let published = mark.published_since(&node);
+        let mut newest = Vec::new();
+        if let Ok(mut subscription) = RawSubscription::subscribe(session, topic, at) {
+            subscription.copy(&mut newest);
+        }
+        lock(&self.incoming).count_from(mark, Inheritance { published, newest });
+    }
+
+    fn mark(&self) -> Option<Mark> {
+        lock(&self.incoming).mark()
+    }
+
+    /// What the next reach is to know of it.
+    fn entry((remote, import): (&Remote, &Self)) -> Option<Entry> {
+        let (instance, mark) = (import.last_instance?, import.mark()?);
+        Some(Entry { key: remote.key(), instance, mark })
+    }
+
+    /// Publishes it here, as soon as it is known what its messages are.
+    fn arrive(
+        &mut self,
+        session: &Session,
+        communicator: &Communicator,
+        (remote, revision): (&Remote, u32),
+        clock: Option<Arc<Mutex<Clock>>>,
+    ) -> anyhow::Result<()> {
+        if clock.as_ref().is_some_and(|clock| lock(clock).difference(now_us()).is_none()) {
+            return Ok(());
+        }
+        if let Some(answer) = communicator.about(remote) {
+            let arrived = match About::decode(&answer, &remote.source.topic, revision) {
+                Ok(about) => {
+                    self.publish(session, (about, remote.source.instance), revision, clock)
+                }
+                Err(NotSound::Revision) => return Ok(()),
+                Err(error) => Err(error.into()),
+            };
+            match arrived {
+                Ok(()) => self.refused = None,
+                Err(why) => self.refuse(remote, &why.to_string()),
+            }
+        } else if now_us() >= self.try_at_us {
+            self.try_at_us = now_us() + TRY_AGAIN_US;
+            communicator.ask_about(remote)?;
+        }
+        Ok(())
+    }
+
+    fn publish(
+        &mut self,
+        session: &Session,
+        (about, far): (About, Instance),
+        revision: u32,
+        clock: Option<Arc<Mutex<Clock>>>,
+    ) -> anyhow::Result<()> {
+        let topic = &about.metadata.name;
+        // The instance it had, or has over there, if nobody here has that one.
+        let wished = self.last_instance.unwrap_or(far);
+        let is_free = !session.exists(topic, wished)?;
+        let claim = if is_free { Claim::Shared(wished) } else { Claim::Lowest };
+        let queue_length = Some(about.metadata.queue_length);
+        let options = AdvertiseOptions { claim, priority: about.priority, queue_length };
+        let publication = RawPublication::advertise(session, &about.metadata, options)?;
+        let instance = publication.instance();
+        let node = Node::open(session.system(), topic, instance, Role::Observer)?;
+        let timestamps = Timestamps::of(about.layout());
+        let translation = clock.map(|clock| Translation { timestamps, clock });
+        lock(&self.incoming).open(publication, revision, translation);
+        (self.here, self.last_instance) = (Some(Here { node, added: None }), Some(instance));
+        Ok(())
+    }
+
+    /// Says so, the first time.
+    fn refuse(&mut self, remote: &Remote, why: &str) {
+        if self.refused.as_deref() != Some(why) {
+            eprintln!("reach: {remote} is refused: {why}");
+            self.refused = Some(why.to_string());
+        }
+    }
+
+    /// It has no publisher here any more.
+    fn leave(&mut self, communicator: &Communicator) {
+        if let Some(here) = self.here.take()
+            && let Some(added) = here.added
+        {
+            communicator.remove_subscription(added);
+        }
+        // Outside of the lock: it waits for the broker, and a message may be coming.
+        let publication = lock(&self.incoming).close();
+        drop(publication);
+    }
+
+    /// Asks for it while somebody here subscribes.
+    fn follow_demand(
+        &mut self,
+        communicator: &Communicator,
+        remote: &Remote,
+        rate_mhz: Option<u32>,
+    ) -> anyhow::Result<()> {
+        let Some(here) = &mut self.here else { return Ok(()) };
+        let is_wanted = here.node.status().subscribers > 0;
+        if is_wanted && here.added.is_none() {
+            let incoming = self.incoming.clone();
+            let receive = move |bytes: &[u8]| lock(&incoming).process_received_message(bytes);
+            here.added = Some(communicator.add_subscription(remote, rate_mhz, receive)?);
+        } else if !is_wanted {
+            if let Some(added) = here.added.take() {
+                communicator.remove_subscription(added);
+            }
+            lock(&self.incoming).rest();
+        }
+        Ok(())
+    }
+
+    pub(crate) fn state(&self) -> State {
+        match (&self.here, self.revision) {
+            (_, None) => State::Gone,
+            (Some(Here { added: Some(_), .. }), _) => State::Crossing,
+            (None, _) if self.refused.is_some() => State::Refused,
+            _ => State::Idle,
+        }
+    }
+
+    /// Where it is, or was, published here.
+    pub(crate) fn instance(&self) -> Option<Instance> {
+        self.last_instance
+    }
+}
