@@ -82,20 +82,27 @@ impl Python {
     }
 
     /// Spawns a program of `tests/foreign` that takes a story and its arguments.
-    pub fn spawn_story(&self, program: &str, story: &str, arguments: &[&str]) -> Actor {
-        let mut command = Command::new(&self.interpreter);
-        command.arg("-B").arg(Path::new(FOREIGN).join(program)).arg(story).args(arguments);
+    pub fn spawn_story(&self, bus: &Bus, program: &str, story: &[&str]) -> Actor {
+        let mut command = self.in_dir_of(bus);
+        command.arg(Path::new(FOREIGN).join(program)).args(story);
         Actor::spawn(command)
     }
 
     /// Spawns MAVProxy without a terminal.
     pub fn spawn_mavproxy(&self, bus: &Bus, master: &str) -> Actor {
-        let mut command = Command::new(&self.interpreter);
-        command.arg("-B").arg(self.interpreter.with_file_name("mavproxy.py"));
+        let mut command = self.in_dir_of(bus);
+        command.arg(self.interpreter.with_file_name("mavproxy.py"));
         command.args(["--non-interactive", "--default-modules", "", "--master", master]);
-        // It writes a log where it is.
-        command.current_dir(bus.system.base());
         Actor::spawn(command)
+    }
+
+    /// Ground stations write logs where they are, and leave files in TMPDIR: these
+    /// go with the bus.
+    fn in_dir_of(&self, bus: &Bus) -> Command {
+        let dir = bus.system.base();
+        let mut command = Command::new(&self.interpreter);
+        command.arg("-B").current_dir(dir).env("TMPDIR", dir);
+        command
     }
 
     /// Makes the environment, if nobody has. None where that is not possible:

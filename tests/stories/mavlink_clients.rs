@@ -48,8 +48,8 @@ fn pymavlink_sees_the_vehicle_and_commands_it() {
     let Some(python) = Python::with_ground_stations() else { return };
     let vehicle = Vehicle::begin();
 
-    let arguments = [vehicle.port.as_str()];
-    let station = python.spawn_story("mavlink_station.py", "sees_and_commands", &arguments);
+    let story = ["sees_and_commands", &vehicle.port];
+    let station = python.spawn_story(&vehicle.bus, "mavlink_station.py", &story);
 
     let all =
         ["sees all", "at their rates", "and at others", "commands", "parameters and missions"];
@@ -61,8 +61,8 @@ fn mavsdk_sees_the_vehicle_and_commands_it() {
     let Some(python) = Python::with_ground_stations() else { return };
     let vehicle = Vehicle::begin();
 
-    let arguments = [vehicle.port.as_str()];
-    let station = python.spawn_story("mavsdk_station.py", "sees_and_commands", &arguments);
+    let story = ["sees_and_commands", &vehicle.port];
+    let station = python.spawn_story(&vehicle.bus, "mavsdk_station.py", &story);
 
     assert_eq!(finished(station), ["sees all", "commands", "parameters"]);
 }
@@ -86,7 +86,7 @@ fn what_pymavlink_sees_of_a_simulated_vehicle_was_published() {
     let mut recorder = vehicle.bus.spawn_uorb(&["record", "-o", log.to_str().unwrap()]);
     eventually("it records", || fs::metadata(&log).is_ok_and(|file| file.len() > 100_000));
 
-    let mut station = compare(&python, &vehicle.port, &log);
+    let mut station = compare(&python, &vehicle.bus, &vehicle.port, &log);
     eventually("a while is recorded", || fs::metadata(&log).unwrap().len() > 2_000_000);
     station.say("it is enough");
     station.expect("heard enough");
@@ -106,7 +106,7 @@ fn what_pymavlink_sees_of_a_replayed_flight_is_in_its_log() {
     for log in logs() {
         let bus = Bus::start();
         let (_bridge, port) = bridge(&bus, &["-u", "0", "-m", "onboard"]);
-        let mut station = compare(&python, &port, &log.path);
+        let mut station = compare(&python, &bus, &port, &log.path);
 
         let path = log.path.to_str().unwrap();
         let replayed = bus.uorb(&["replay", path, "--speed", "4", "--duration", "20"]);
@@ -122,9 +122,9 @@ fn what_pymavlink_sees_of_a_replayed_flight_is_in_its_log() {
 
 /// A station that listens, until it is told that it is enough, and once more when
 /// the log is there.
-fn compare(python: &Python, port: &str, log: &Path) -> Actor {
-    let arguments = [port, log.to_str().expect("a path of ours")];
-    let mut station = python.spawn_story("mavlink_station.py", "compares", &arguments);
+fn compare(python: &Python, bus: &Bus, port: &str, log: &Path) -> Actor {
+    let story = ["compares", port, log.to_str().expect("a path of ours")];
+    let mut station = python.spawn_story(bus, "mavlink_station.py", &story);
     station.expect("listens");
     station
 }
@@ -145,7 +145,7 @@ fn exchange_trajectories(client: &str) {
     let bus = Bus::start();
     let (_bridge, port) = bridge(&bus, &["-u", "0", "-m", "onboard"]);
     let mut listener = bus.spawn_uorb(&["listener", "ca_trajectory_msg", "1", "--json"]);
-    let mut station = python.spawn_story(client, "custom_message", &[&port, DIALECT]);
+    let mut station = python.spawn_story(&bus, client, &["custom_message", &port, DIALECT]);
     station.expect("sent");
 
     let heard: serde_json::Value = serde_json::from_str(&listener.until(&["time_start"])).unwrap();
@@ -172,7 +172,7 @@ fn mavsdk_finds_a_bridge_again_that_was_killed() {
     let Some(python) = Python::with_ground_stations() else { return };
     let vehicle = Vehicle::begin();
     let Vehicle { bus, mut bridge, port, _modules } = vehicle;
-    let mut station = python.spawn_story("mavsdk_station.py", "reconnects", &[&port]);
+    let mut station = python.spawn_story(&bus, "mavsdk_station.py", &["reconnects", &port]);
     station.expect("is there");
 
     bridge.kill();
@@ -188,9 +188,9 @@ fn two_vehicles_of_one_machine_are_seen_and_not_mixed_up() {
     let buses = [Bus::start(), Bus::start()];
     let bridges =
         [0, 1].map(|n| bridge(&buses[n], &["-u", "0", "-m", "onboard", "-i", &n.to_string()]));
-    let ports = [bridges[0].1.as_str(), bridges[1].1.as_str()];
+    let story = ["two_vehicles", &bridges[0].1, &bridges[1].1];
 
-    let station = python.spawn_story("mavlink_station.py", "two_vehicles", &ports);
+    let station = python.spawn_story(&buses[0], "mavlink_station.py", &story);
 
     assert_eq!(finished(station), ["each is itself"]);
 }
