@@ -151,6 +151,6 @@ fn every_command_has_a_page_in_the_manual() {
     }
     assert_eq!(
         words(&uorb(&["man", "lisener"])),
-        "uorb: no command \"lisener\"; did you mean listener?\n"
+        "uorb: no command \"lisener\" of `uorb`; did you mean listener?\n"
     );
 }
