@@ -548,7 +548,7 @@ fn a_stream_that_is_followed_is_there_for_publishers_when_no_broker_is() {
     newcomer.node.try_cleanup_dead_nodes();
 
     let opened =
-        open_stream(&newcomer, &bus.system, &Plain::METADATA, Instance::FIRST, false).map(|_| ());
+        open_stream(&newcomer, &bus.system, Plain::METADATA, Instance::FIRST, false).map(|_| ());
 
     assert_eq!(opened, Ok(()));
 }
