@@ -16,8 +16,10 @@
 //! unadvertised on the way out. What it has to tell goes to stdout, and why it
 //! ended, if nobody asked it to, to stderr.
 
+pub mod background;
 pub mod color;
 pub mod random;
+pub mod rotation;
 pub mod search;
 
 use std::error::Error;

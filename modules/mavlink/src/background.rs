@@ -1,52 +1,20 @@
 //! `mavlink start`, `status` and `stop`: a bridge that nobody's shell waits for.
-//!
-//! Who runs is not kept in a file, which could be wrong: whoever publishes
-//! `mavlink_status` is a link, and its process a bridge.
 
 use std::collections::BTreeSet;
-use std::io::{Read, Write};
-use std::os::unix::process::CommandExt;
-use std::process::{Command, Stdio};
+use std::io::Write;
 
 use clap::ValueEnum;
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
-use uorb_core::{Error, Instance, Session, Subscription, now_us};
+use uorb_core::{Session, now_us};
 use uorb_mavlink::outgoing::Mode;
+use uorb_modules::background::{self, running};
 use uorb_modules::{Outcome, Stop};
 use uorb_msg::MavlinkStatus;
-
-/// How often to look whether it has come, or has gone.
-const LOOK_EVERY_US: u64 = 20_000;
 
 /// How long a bridge may take to end: it looks five times a second.
 const END_TIMEOUT_US: u64 = 10_000_000;
 
 /// A link, and what it said last.
-struct Running {
-    pid: u32,
-    status: MavlinkStatus,
-}
-
-/// The links of this system.
-fn running(session: &Session) -> Result<Vec<Running>, Error> {
-    let mut running = Vec::new();
-    for instance in Instance::all() {
-        if !session.exists("mavlink_status", instance)? {
-            continue;
-        }
-        let mut status = Subscription::<MavlinkStatus>::subscribe_instance(session, instance)?;
-        let Some(said) = status.copy() else { continue };
-        let peer = status.last_copied().map(|copied| copied.peer);
-        let process = peer.map(|peer| session.process(peer)).transpose()?.flatten();
-        running.extend(process.map(|process| Running { pid: process.pid, status: said }));
-    }
-    Ok(running)
-}
-
-fn pids(session: &Session) -> Result<BTreeSet<u32>, Error> {
-    Ok(running(session)?.iter().map(|link| link.pid).collect())
-}
+type Running = background::Running<MavlinkStatus>;
 
 /// Starts this program again, in the background.
 pub(super) fn start(stop: &Stop, out: &mut impl Write) -> Outcome {
@@ -56,32 +24,13 @@ pub(super) fn start(stop: &Stop, out: &mut impl Write) -> Outcome {
         let mut is_first = true;
         move |argument| !(argument == "start" && std::mem::take(&mut is_first))
     });
-    let mut child = Command::new(std::env::current_exe()?)
-        .args(arguments)
-        .process_group(0)
-        .stdin(Stdio::null())
-        // Whoever waits for the end of our output must not wait for its.
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()?;
-    while stop.sleep_until(now_us() + LOOK_EVERY_US) {
-        if child.try_wait()?.is_some() {
-            let mut words = String::new();
-            if let Some(stderr) = &mut child.stderr {
-                stderr.read_to_string(&mut words)?;
-            }
-            return Err(words.trim().trim_start_matches("mavlink: ").to_string().into());
-        }
-        if pids(&session)?.contains(&child.id()) {
-            break;
-        }
-    }
-    writeln!(out, "[mavlink] started: pid {}", child.id())?;
+    let pid = background::start::<MavlinkStatus>(&session, arguments, stop)?;
+    writeln!(out, "[mavlink] started: pid {pid}")?;
     Ok(())
 }
 
 pub(super) fn status(out: &mut impl Write) -> Outcome {
-    let running = running(&Session::connect()?)?;
+    let running = running::<MavlinkStatus>(&Session::connect()?)?;
     if running.is_empty() {
         return Err("none runs; begin with `mavlink start`".into());
     }
@@ -141,20 +90,18 @@ fn print(out: &mut impl Write, number: usize, link: &Running) -> std::io::Result
 
 pub(super) fn stop(stop: &Stop, out: &mut impl Write) -> Outcome {
     let session = Session::connect()?;
-    let all = pids(&session)?;
+    // A bridge has a status for each of its links.
+    let all: BTreeSet<u32> =
+        running::<MavlinkStatus>(&session)?.iter().map(|link| link.pid).collect();
     if all.is_empty() {
         return Err("none runs".into());
     }
     for pid in all {
-        kill(Pid::from_raw(pid as i32), Signal::SIGTERM)?;
-        let deadline_us = now_us() + END_TIMEOUT_US;
-        while pids(&session)?.contains(&pid) {
-            if now_us() > deadline_us {
-                return Err(format!("pid {pid} does not end: kill -9 {pid} ends it").into());
-            }
-            if !stop.sleep_until(now_us() + LOOK_EVERY_US) {
+        if !background::end::<MavlinkStatus>(&session, pid, END_TIMEOUT_US, stop)? {
+            if stop.requested() {
                 return Ok(());
             }
+            return Err(format!("pid {pid} does not end: kill -9 {pid} ends it").into());
         }
         writeln!(out, "[mavlink] ended: pid {pid}")?;
     }

@@ -1,6 +1,7 @@
 //! How the vehicle lies in the air: ATTITUDE, ATTITUDE_QUATERNION.
 
 use uorb_core::Session;
+use uorb_modules::rotation;
 use uorb_msg::VehicleAttitude;
 
 use super::newer::VehicleAngularVelocity;
@@ -53,7 +54,7 @@ fn attitude_message(attitude: &VehicleAttitude) -> ATTITUDE_DATA {
 
 fn quaternion_message(attitude: &VehicleAttitude) -> ATTITUDE_QUATERNION_DATA {
     let [q1, q2, q3, q4] = match attitude.q {
-        [0.0, 0.0, 0.0, 0.0] => quaternion_of([attitude.roll, attitude.pitch, attitude.yaw]),
+        [0.0, 0.0, 0.0, 0.0] => rotation::quaternion([attitude.roll, attitude.pitch, attitude.yaw]),
         q => q,
     };
     ATTITUDE_QUATERNION_DATA {
@@ -83,18 +84,6 @@ fn euler([w, x, y, z]: [f32; 4]) -> [f32; 3] {
     ]
 }
 
-/// The rotation by yaw, then pitch, then roll.
-pub(super) fn quaternion_of([roll, pitch, yaw]: [f32; 3]) -> [f32; 4] {
-    let ((sr, cr), (sp, cp), (sy, cy)) =
-        ((roll / 2.0).sin_cos(), (pitch / 2.0).sin_cos(), (yaw / 2.0).sin_cos());
-    [
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    ]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -102,13 +91,13 @@ mod tests {
     #[test]
     fn angles_are_those_of_the_quaternion() {
         let angles = [0.3, -0.7, 2.5];
-        let back = euler(quaternion_of(angles));
+        let back = euler(rotation::quaternion(angles));
         for (angle, back) in angles.iter().zip(back) {
             assert!((angle - back).abs() < 1e-5, "{back}");
         }
         let attitude = VehicleAttitude {
             timestamp: 5_999,
-            q: quaternion_of(angles),
+            q: rotation::quaternion(angles),
             roll: 9.0,
             yawspeed: 0.5,
             ..VehicleAttitude::default()

@@ -4,12 +4,13 @@
 use std::f32::consts::TAU;
 
 use uorb_core::{Session, now_us};
+use uorb_modules::rotation::quaternion;
 use uorb_msg::{
     ActuatorArmed, ActuatorControls, ActuatorControls0, Airspeed, HomePosition, SensorCombined,
     VehicleGlobalPosition, VehicleLocalPosition,
 };
 
-use super::attitude::{ms, quaternion_of};
+use super::attitude::ms;
 use super::newer::VehicleAirData;
 use super::source::{Source, on_clock, on_update};
 use crate::dialect::{
@@ -156,7 +157,7 @@ fn home_message(home: &HomePosition) -> HOME_POSITION_DATA {
         x: home.x,
         y: home.y,
         z: home.z,
-        q: quaternion_of([0.0, 0.0, home.yaw]),
+        q: quaternion([0.0, 0.0, home.yaw]),
         time_usec: home.timestamp,
         ..HOME_POSITION_DATA::DEFAULT
     }

@@ -10,6 +10,7 @@
 use std::f64::consts::TAU;
 
 use uorb_modules::random::Random;
+use uorb_modules::rotation::quaternion;
 use uorb_msg::{
     BatteryStatus, SensorAccel, SensorBaro, SensorGyro, SensorMag, VehicleAttitude,
     VehicleGlobalPosition, VehicleGpsPosition, VehicleLocalPosition,
@@ -376,7 +377,7 @@ impl Estimate {
             rollspeed,
             pitchspeed,
             yawspeed,
-            q: quaternion(roll, pitch, yaw),
+            q: quaternion([roll, pitch, yaw]),
         }
     }
 
@@ -435,19 +436,6 @@ impl Estimate {
             ..Default::default()
         }
     }
-}
-
-/// Body to north-east-down, of angles about the axes down, right and forward, in
-/// this order.
-fn quaternion(roll: f32, pitch: f32, yaw: f32) -> [f32; 4] {
-    let ((sr, cr), (sp, cp), (sy, cy)) =
-        ((roll / 2.0).sin_cos(), (pitch / 2.0).sin_cos(), (yaw / 2.0).sin_cos());
-    [
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    ]
 }
 
 /// A battery of four cells with 5 Ah, that feeds a computer on the ground.
