@@ -1,3 +1,4 @@
+use std::collections::BTreeSet;
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -22,6 +23,13 @@ fn followed(mut follower: Actor) -> [u64; 5] {
     let line = follower.finish().pop().expect("it says what it saw");
     let numbers: Vec<u64> = line.split(' ').filter_map(|word| word.parse().ok()).collect();
     numbers.try_into().unwrap_or_else(|_| panic!("{line}"))
+}
+
+/// What a world has in shared memory.
+fn shared_files(world: &World) -> BTreeSet<String> {
+    let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let names = entries.map(|entry| entry.file_name().into_string().unwrap());
+    names.filter(|name| name.starts_with(&world.prefix)).collect()
 }
 
 fn with_back_pressure(session: &Session, depth: u32) -> StreamSubscription<Plain> {
@@ -370,19 +378,15 @@ fn a_stopped_system_leaves_nothing_of_its_streams() {
     let mut image = bus.advertise::<Image>();
     let stream = bus.stream::<Image>();
     image.loan().unwrap().publish().unwrap();
-    let of_world = || {
-        let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
-        let names = entries.map(|entry| entry.file_name().into_string().unwrap());
-        names.filter(|name| name.starts_with(&world.prefix)).collect::<Vec<_>>()
-    };
+    let of_world = || shared_files(&world);
     assert!(!of_world().is_empty() && world.root.exists());
     bus.stop();
-    assert_eq!(of_world(), Vec::<String>::new());
+    assert_eq!(of_world(), BTreeSet::new());
     assert!(!world.root.exists() && !bus.system.dir().exists());
     assert!(matches!(image.loan(), Err(Error::Ended { .. })));
     drop((image, stream));
     bus = bus.without_session();
-    assert_eq!(of_world(), Vec::<String>::new());
+    assert_eq!(of_world(), BTreeSet::new());
     drop(bus);
 }
 
@@ -405,11 +409,7 @@ fn killed_publishers_and_followers_cost_nobody_a_message_and_leave_nothing() {
     };
     let mut others: Vec<_> = (0..4).map(|kind| spawn(&bus, kind)).collect();
     others.iter_mut().for_each(|(other, line)| other.expect(line));
-    let files = || {
-        let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
-        let names = entries.map(|entry| entry.file_name().into_string().unwrap());
-        names.filter(|name| name.starts_with(&world.prefix)).collect::<Vec<_>>()
-    };
+    let files = || shared_files(&world);
 
     let mut random = 0x9e37_79b9_7f4a_7c15_u64;
     let mut most_files = 0;
@@ -490,6 +490,49 @@ fn what_a_publisher_sent_before_it_went_is_received_by_one_who_looks_later() {
 }
 
 #[test]
+fn what_a_publisher_sent_before_it_was_killed_is_received_by_one_who_looks_later() {
+    let mut bus = Bus::start();
+    let world = World::of(&bus.system);
+    let node = bus.subscribe::<Stamped>();
+    let mut stream = bus.stream::<Stamped>();
+    let files = || shared_files(&world).len();
+    let before = files();
+    let mut publisher = streamer(&bus, &["publish", "100"]);
+    publisher.expect("advertised");
+    publisher.say("go");
+    publisher.expect("published, refused 0");
+
+    publisher.kill();
+    eventually("the broker knows that it is dead", || !bus.is_advertised("stamped"));
+    // To make a stream is done after all that the broker has to do for the dead.
+    let _another = bus.stream::<Plain>();
+
+    for count in 0..100 {
+        assert_eq!(stream.update().map(|stamped| stamped.count), Some(count));
+    }
+    assert_eq!((stream.lost(), node.pending()), (0, 100));
+    // Of the other: its service, and this process's port.
+    eventually("its memory is given back", || files() <= before + 4);
+}
+
+#[test]
+fn the_memory_of_a_killed_publisher_is_given_back_though_a_follower_never_looks() {
+    let mut bus = Bus::start();
+    let world = World::of(&bus.system);
+    let _stream = bus.stream::<Stamped>();
+    let before = shared_files(&world);
+    let mut publisher = streamer(&bus, &["publish", "100"]);
+    publisher.expect("advertised");
+    publisher.say("go");
+    publisher.expect("published, refused 0");
+    assert!(shared_files(&world).len() > before.len());
+
+    publisher.kill();
+
+    eventually("its memory is given back", || shared_files(&world) == before);
+}
+
+#[test]
 fn a_follower_that_could_not_connect_to_a_publisher_tries_again() {
     let mut bus = Bus::start();
     let mut keeper = bus.advertise::<Plain>();
@@ -545,7 +588,7 @@ fn a_stream_that_is_followed_is_there_for_publishers_when_no_broker_is() {
     bus.kill_broker();
     let newcomer = World::of(&bus.system).join("newcomer").unwrap();
     // What the next broker does first.
-    newcomer.node.try_cleanup_dead_nodes();
+    newcomer.clean_up(|_, _| false);
 
     let opened =
         open_stream(&newcomer, &bus.system, Plain::METADATA, Instance::FIRST, false).map(|_| ());

@@ -38,8 +38,19 @@ pub(crate) const DOUBT_INTERVAL: Duration = Duration::from_secs(1);
 /// follow a stream misses what is published until it is seen.
 pub(crate) const LOOK_INTERVAL: Duration = Duration::from_millis(100);
 
+/// How long the ports of a dead process are kept for those who follow and have not
+/// looked since.
+pub(crate) const DEAD_KEPT_FOR: Duration = Duration::from_secs(1);
+
+/// Dead processes whose ports are kept: they take places from living publishers,
+/// and a stream has as many for the dead as for the living.
+pub(crate) const DEAD_MAX: usize = 16;
+
+/// How often it is looked whether they are still needed.
+pub(crate) const DEAD_LOOK_INTERVAL: Duration = Duration::from_millis(5);
+
 /// How often iceoryx2 cleans up after dead foreign programs. After processes of
-/// ours it does at once.
+/// ours it does as soon as nobody needs what they have sent.
 pub(crate) const CLEAN_UP_INTERVAL: Duration = Duration::from_secs(2);
 
 /// How often it is looked for what somebody who was killed has left unfinished in

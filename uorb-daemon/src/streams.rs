@@ -3,12 +3,15 @@
 //! iceoryx2 works on the file system, in milliseconds, and the broker's loop
 //! waits for nobody. So the loop gives *orders* and hears *news*. The thread
 //! keeps every node's service open, cleans up after dead processes, which nobody
-//! else does, and looks who of the users of a stream is none of ours.
+//! else does (`streams/dead.rs`), and looks who of the users of a stream is none
+//! of ours.
 //!
 //! Of a large topic it is itself a subscriber, with a queue of one: when a
 //! publisher goes, its newest message is still there, and is kept in the node.
 
-use std::collections::{BTreeMap, HashSet};
+mod dead;
+
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -26,8 +29,11 @@ use uorb_core::broker_side::{
 use uorb_core::{System, World, fail_point};
 
 use crate::broker::ring;
-use crate::limits::{CLEAN_UP_INTERVAL, LOOK_INTERVAL, UNFINISHED_INTERVAL};
+use crate::limits::{
+    CLEAN_UP_INTERVAL, DEAD_LOOK_INTERVAL, DEAD_MAX, LOOK_INTERVAL, UNFINISHED_INTERVAL,
+};
 use crate::registry::NodeKey;
+use dead::Dead;
 
 /// What the loop wants.
 #[derive(Debug)]
@@ -40,13 +46,13 @@ pub(crate) enum Order {
     Ported(NodeKey),
     /// A publisher of a large topic goes: keep what it published last.
     Save(NodeKey),
-    /// A process is one of ours.
-    Joined(u32),
+    /// A process is one of ours: its number, and its process id.
+    Joined(u16, u32),
     /// A publisher of a node has died: send what it has not sent, then give its
     /// slots back.
     Bury(NodeKey, u16),
-    /// A process has died: clean up after it.
-    Died(u32),
+    /// A process of ours has died: clean up after it.
+    Died(u16, u32),
 }
 
 /// What the thread says.
@@ -210,7 +216,8 @@ fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Rep
         system,
         member,
         kept: BTreeMap::new(),
-        ours: HashSet::from([std::process::id()]),
+        ours: HashMap::new(),
+        dead: Vec::new(),
         cleaned: Instant::now(),
     };
     // What a broker before us has left.
@@ -218,21 +225,25 @@ fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Rep
     let mut looked = Instant::now();
     loop {
         let rest = LOOK_INTERVAL.saturating_sub(looked.elapsed());
-        let order = match keeper.kept.is_empty() {
-            true => orders.recv().map_err(|_| RecvTimeoutError::Disconnected),
-            false => orders.recv_timeout(rest),
+        let order = match (keeper.dead.is_empty(), keeper.kept.is_empty()) {
+            (true, true) => orders.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            (true, false) => orders.recv_timeout(rest),
+            (false, _) => orders.recv_timeout(rest.min(DEAD_LOOK_INTERVAL)),
         };
         match order {
             Ok(order) => keeper.carry_out(order, orders, reporter),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,
         }
+        keeper.let_go();
         if looked.elapsed() >= LOOK_INTERVAL {
             looked = Instant::now();
             keeper.look(reporter);
         }
     }
     keeper.kept.clear();
+    keeper.ours.clear();
+    keeper.dead.clear();
     keeper.clean_up();
 }
 
@@ -240,14 +251,15 @@ struct Keeper<'s> {
     system: &'s System,
     member: Result<Member, String>,
     kept: BTreeMap<NodeKey, Kept>,
-    /// Processes of ours, and this one.
-    ours: HashSet<u32>,
+    /// The process ids of our processes, by their numbers.
+    ours: HashMap<u16, u32>,
+    /// Those of them that are dead and not cleaned up after yet.
+    dead: Vec<Dead>,
     cleaned: Instant,
 }
 
 impl Keeper<'_> {
     fn carry_out(&mut self, order: Order, orders: &Receiver<Order>, reporter: &Reporter) {
-        let mut died = false;
         // All that is there: who dies, dies in crowds, and is cleaned up after
         // once.
         let mut next = Some(order);
@@ -257,20 +269,17 @@ impl Keeper<'_> {
                     let made = self.make(&key, node);
                     reporter.tell(News::Made(key, made));
                 }
-                Order::Forget(key) => _ = self.kept.remove(&key),
+                Order::Forget(key) => self.forget(&key),
                 Order::Ported(key) => self.connect(&key),
                 Order::Save(key) => self.save(&key),
                 Order::Bury(key, peer) => self.bury(&key, peer),
-                Order::Joined(pid) => _ = self.ours.insert(pid),
-                Order::Died(pid) => {
-                    self.ours.remove(&pid);
-                    died = true;
+                Order::Joined(peer, pid) => _ = self.ours.insert(peer, pid),
+                Order::Died(peer, pid) => {
+                    self.ours.remove(&peer);
+                    self.dead.push(Dead::new(peer, pid, self.kept.values().map(|kept| &kept.node)));
                 }
             }
             next = orders.try_recv().ok();
-        }
-        if died {
-            self.clean_up();
         }
     }
 
@@ -293,6 +302,14 @@ impl Keeper<'_> {
         self.kept.insert(key.clone(), kept);
         fail_point!("stream.made");
         Ok(())
+    }
+
+    fn forget(&mut self, key: &NodeKey) {
+        if let Some(kept) = self.kept.remove(key) {
+            // Another stream may come in its place, when nobody has this one open.
+            self.dead.iter_mut().for_each(|dead| dead.forget(&kept.node));
+            self.let_go();
+        }
     }
 
     /// Maps a new port: what is sent there from now on outlives it.
@@ -335,13 +352,24 @@ impl Keeper<'_> {
         self.save(key);
     }
 
+    /// Cleans up after the dead whose ports nobody needs any more.
+    fn let_go(&mut self) {
+        let waiting = self.dead.len();
+        self.dead.retain(Dead::is_needed);
+        self.dead.drain(..self.dead.len().saturating_sub(DEAD_MAX));
+        if self.dead.len() < waiting {
+            self.clean_up();
+        }
+    }
+
     fn clean_up(&mut self) {
         fail_point!("stream.cleaning");
-        // It takes the ports of all who are dead, also of those whose death is not
-        // heard of yet: what they have sent outlives them once it is mapped.
-        self.kept.values_mut().for_each(Kept::connect);
         if let Ok(member) = &self.member {
-            member.node.try_cleanup_dead_nodes();
+            // One of ours that is dead, and of whose death nobody has told, has sent
+            // what is not saved yet.
+            member.clean_up(|peer, pid| {
+                self.ours.get(&peer) == Some(&pid) || self.dead.iter().any(|d| d.is(peer, pid))
+            });
             fail_point!("stream.cleaned");
         }
         self.cleaned = Instant::now();
@@ -352,6 +380,9 @@ impl Keeper<'_> {
         if self.cleaned.elapsed() >= CLEAN_UP_INTERVAL {
             self.clean_up();
         }
+        let dead = self.dead.iter().map(Dead::pid);
+        let ours: HashSet<u32> =
+            self.ours.values().copied().chain(dead).chain([std::process::id()]).collect();
         for (key, kept) in &mut self.kept {
             kept.connect();
             if let Some(executor) = &kept.executor {
@@ -363,7 +394,7 @@ impl Keeper<'_> {
             if users.number_of_subscribers() > usize::from(kept.newest.is_some()) {
                 users.list_subscribers(|subscriber| {
                     let pid = subscriber.node_id.pid::<Ipc>().map(|pid| pid.value() as u32);
-                    followers += u64::from(!pid.is_ok_and(|pid| self.ours.contains(&pid)));
+                    followers += u64::from(!pid.is_ok_and(|pid| ours.contains(&pid)));
                     CallbackProgression::Continue
                 });
             }

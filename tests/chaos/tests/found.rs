@@ -11,7 +11,7 @@ use uorb_core::{
     AdvertiseOptions, Instance, Metadata, PeerInfo, RawPublication, RawSubscription, Session,
     Subscription,
 };
-use uorb_tests::{Bus, Stamped, eventually, program};
+use uorb_tests::{Bus, Plain, Stamped, eventually, program};
 
 /// A broker of this build, ready; it may have a place to die or to stop at.
 fn start_broker(bus: &mut Bus, fate: Option<(&str, &str)>) {
@@ -229,6 +229,34 @@ fn a_large_message_of_one_who_died_while_others_were_cleaned_up_after_is_kept() 
     let mut bytes = Vec::new();
     eventually("its last message is there", || newcomer.copy(&mut bytes));
     assert_eq!(newcomer.last_copied().map(|copied| copied.generation.get()), Some(3));
+}
+
+#[test]
+fn what_one_sent_who_died_while_others_were_cleaned_up_after_is_received() {
+    let mut bus = Bus::without_broker();
+    // The first time is its start.
+    start_broker(&mut bus, Some(("UORB_STOP_AT", "stream.cleaning:2")));
+    let broker = bus.running_broker().unwrap();
+    let mut follower = bus.stream::<Stamped>();
+    let fates = [("UORB_STOP_AT", "port.told:1"), ("UORB_DIE_AT", "publish.sent:100")];
+    let mut late = publisher(&bus, "stamped", &fates);
+    eventually("it has its port", || is_stopped(late.id()));
+    let mut other = publisher(&bus, "chaos_large", &[("UORB_DIE_AT", "publish.sent:1")]);
+    other.wait().unwrap();
+    eventually("the broker begins to clean up after the other", || is_stopped(broker));
+    go_on(late.id());
+    late.wait().unwrap();
+
+    go_on(broker);
+    eventually("the broker knows that it is dead", || !bus.is_advertised("stamped"));
+    // To make a stream is done after all that the broker has to do for the dead.
+    let _another = bus.stream::<Plain>();
+
+    for count in 0..100 {
+        assert_eq!(follower.update().map(|stamped| stamped.count), Some(count));
+    }
+    assert!(follower.update().is_none());
+    assert_eq!(follower.lost(), 0);
 }
 
 #[test]

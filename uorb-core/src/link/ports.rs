@@ -80,7 +80,7 @@ impl Link {
             return Ok(member.clone());
         }
         raise_descriptor_limit();
-        let joined = self.world.join(&format!("uorb-{}", self.peer));
+        let joined = self.world.join_as(self.peer);
         let joined = joined.map_err(|what| Error::stream(self.system.to_string(), what))?;
         Ok(member.insert(Arc::new(joined)).clone())
     }

@@ -156,7 +156,7 @@ impl Node {
     }
 
     /// Whether all who follow the stream have received this message.
-    pub(crate) fn has_received(&self, generation: u64) -> bool {
+    pub fn has_received(&self, generation: u64) -> bool {
         let mut entries = self.stream_entries().into_iter().enumerate();
         !entries.any(|(index, entry)| {
             entry.is_some() && self.received(index).load(Ordering::Acquire) < generation
@@ -309,6 +309,16 @@ impl Node {
                 let _ = entry[0].compare_exchange(key, 0, Ordering::Release, Ordering::Relaxed);
             }
         }
+    }
+
+    /// The newest generation, where a peer has a port and not all who follow the
+    /// stream have received that.
+    pub fn unreceived_of(&self, peer: u16) -> Option<u64> {
+        if !self.is_streamed() || !self.port_holders().contains(&peer) {
+            return None;
+        }
+        let newest = self.ring()?.ring.newest_of_all();
+        (!self.has_received(newest)).then_some(newest)
     }
 
     /// The peers that have ports.

@@ -11,8 +11,9 @@ use std::fs;
 use std::path::PathBuf;
 
 use iceoryx2::config::Config;
+use iceoryx2::node::{NodeState, NodeView};
 use iceoryx2::prelude::{
-    FileName, Node, NodeBuilder, NodeName, SemanticString, SignalHandlingMode,
+    CallbackProgression, FileName, Node, NodeBuilder, NodeName, SemanticString, SignalHandlingMode,
 };
 use serde::{Deserialize, Serialize};
 
@@ -61,6 +62,11 @@ impl World {
     /// Whether it belongs to one system alone.
     pub fn is_private(&self) -> bool {
         self.root.file_name().is_some_and(|name| name == FOLDER)
+    }
+
+    /// Becomes a member of the world as a process of the system, by its number.
+    pub(crate) fn join_as(&self, peer: u16) -> Result<Member, String> {
+        self.join(&format!("{OF_PEER}{peer}"))
     }
 
     /// Becomes a member of the world, under a name for people.
@@ -131,4 +137,29 @@ pub(crate) const FOLDER: &str = "iox2";
 pub struct Member {
     /// What iceoryx2 calls a node.
     pub node: Node<Ipc>,
+}
+
+/// What stands before the number of a process in its name as a member.
+const OF_PEER: &str = "uorb-";
+
+impl Member {
+    /// Cleans up after the members that are dead, but for the processes of the
+    /// system that are to be spared, by number and process id.
+    pub fn clean_up(&self, is_spared: impl Fn(u16, u32) -> bool) {
+        // What fails now is done at the next time.
+        let _ = Node::<Ipc>::list(self.node.config(), |member| {
+            if let NodeState::Dead(dead) = member {
+                let peer = dead.details().as_ref().and_then(|details| peer_in(details.name()));
+                let pid = dead.id().pid::<Ipc>().ok().map(|pid| pid.value() as u32);
+                if !peer.zip(pid).is_some_and(|(peer, pid)| is_spared(peer, pid)) {
+                    let _ = dead.try_remove_stale_resources();
+                }
+            }
+            CallbackProgression::Continue
+        });
+    }
+}
+
+fn peer_in(name: &NodeName) -> Option<u16> {
+    name.as_str().strip_prefix(OF_PEER)?.parse().ok()
 }

@@ -223,7 +223,7 @@ impl Broker {
         if let Some(pidfd) = pidfd {
             self.watch_process(peer, pidfd);
         }
-        self.order(Order::Joined(pid));
+        self.order(Order::Joined(peer, pid));
         self.connected.insert(peer, number);
         if let Some(connection) = self.connections.get_mut(&number) {
             connection.peer = Some(peer);

@@ -42,11 +42,12 @@ impl Broker {
         let name = self.registry.name_of(peer);
         let pid = self.registry.pid_of(peer);
         let Estate { advertised, subscribed } = self.registry.bury(peer);
-        // What it published last, before iceoryx2 cleans up after it.
+        // What it published last, before iceoryx2 cleans up after it, and while its
+        // ports are known.
         for key in &advertised {
             self.order(Order::Save(key.clone()));
         }
-        self.order(Order::Died(pid));
+        self.order(Order::Died(peer, pid));
         for key in &advertised {
             // The streams' thread frees its slots, when what it had not sent is.
             match self.nodes.get(key) {
@@ -149,7 +150,7 @@ impl Broker {
 
     fn adopt_process(&mut self, Survivor { peer, pid, name }: Survivor) {
         self.registry.adopt_peer(peer, pid, name);
-        self.order(Order::Joined(pid));
+        self.order(Order::Joined(peer, pid));
         if let Some(pidfd) = pidfd_of(pid) {
             self.watch_process(peer, pidfd);
         }
