@@ -10,6 +10,7 @@
 //! becomes instance 0 if it is started first, and gets it again when it was
 //! killed and is the only one missing.
 
+mod estimate;
 mod vehicle;
 
 use std::error::Error;
@@ -26,7 +27,8 @@ use uorb_msg::{
     VehicleGlobalPosition, VehicleGpsPosition, VehicleLocalPosition,
 };
 
-use vehicle::{Accelerometer, Barometer, Battery, Estimate, Gps, Gyroscope, Magnetometer};
+use estimate::{Battery, Estimate};
+use vehicle::{Accelerometer, Barometer, Gps, Gyroscope, Magnetometer};
 
 const EXAMPLES: &str = "\
 Devices:
