@@ -24,7 +24,8 @@ fn main() -> ExitCode {
         ["follow-and-press", depth] => follow(number(depth) as u32, true),
         ["follow-blindly"] => follow_blindly(),
         ["publish-blindly"] => publish_blindly(),
-        ["hold-image"] => hold_image(),
+        ["hold-image"] => Session::connect().and_then(|session| hold_image(&session)),
+        ["hold-image-and-stamped"] => hold_image_and_stamped(),
         ["small-memory"] => small_memory(),
         other => panic!("no such streamer: {other:?}"),
     };
@@ -184,13 +185,22 @@ fn follow(depth: u32, back_pressure: bool) -> Result<(), Error> {
 }
 
 /// Publishes one large message, and holds its publication until it is ended.
-fn hold_image() -> Result<(), Error> {
-    let session = Session::connect()?;
-    let mut image = Publication::<Image>::advertise(&session)?;
+fn hold_image(session: &Session) -> Result<(), Error> {
+    let mut image = Publication::<Image>::advertise(session)?;
     publish_image(&mut image, 7)?;
     println!("published");
     heard();
     Ok(())
+}
+
+/// The same, and before it a number of ordinary messages.
+fn hold_image_and_stamped() -> Result<(), Error> {
+    let session = Session::connect()?;
+    let mut stamped = Publication::<Stamped>::advertise(&session)?;
+    for count in 0..100 {
+        stamped.publish(&Stamped::new(count, 0))?;
+    }
+    hold_image(&session)
 }
 
 fn publish_image(image: &mut Publication<Image>, count: u64) -> Result<(), Error> {

@@ -29,7 +29,7 @@ use uorb_core::{System, World, fail_point, now_us};
 use crate::connection::Connection;
 use crate::directory::{self, Survivor};
 use crate::registry::{NodeKey, Registry};
-use crate::streams::Streams;
+use crate::streams::{Order, Streams};
 use streaming::Streaming;
 
 /// Everything that can wake the broker.
@@ -244,6 +244,7 @@ impl Broker {
             ring(key, node);
         }
         // Gives the streams up, and what iceoryx2 has for them.
+        self.order(Order::Ended);
         self.streams = None;
         self.world.remove();
         directory::remove(&self.system);

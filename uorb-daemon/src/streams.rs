@@ -53,6 +53,8 @@ pub(crate) enum Order {
     Bury(NodeKey, u16),
     /// A process of ours has died: clean up after it.
     Died(u16, u32),
+    /// The system has ended: nobody needs anything of the dead.
+    Ended,
 }
 
 /// What the thread says.
@@ -220,8 +222,7 @@ fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Rep
         dead: Vec::new(),
         cleaned: Instant::now(),
     };
-    // What a broker before us has left.
-    keeper.clean_up();
+    keeper.begin();
     let mut looked = Instant::now();
     loop {
         let rest = LOOK_INTERVAL.saturating_sub(looked.elapsed());
@@ -242,8 +243,6 @@ fn keep(system: &System, world: &World, orders: &Receiver<Order>, reporter: &Rep
         }
     }
     keeper.kept.clear();
-    keeper.ours.clear();
-    keeper.dead.clear();
     keeper.clean_up();
 }
 
@@ -269,7 +268,7 @@ impl Keeper<'_> {
                     let made = self.make(&key, node);
                     reporter.tell(News::Made(key, made));
                 }
-                Order::Forget(key) => self.forget(&key),
+                Order::Forget(key) => _ = self.kept.remove(&key),
                 Order::Ported(key) => self.connect(&key),
                 Order::Save(key) => self.save(&key),
                 Order::Bury(key, peer) => self.bury(&key, peer),
@@ -278,8 +277,25 @@ impl Keeper<'_> {
                     self.ours.remove(&peer);
                     self.dead.push(Dead::new(peer, pid, self.kept.values().map(|kept| &kept.node)));
                 }
+                Order::Ended => {
+                    self.ours.clear();
+                    self.dead.clear();
+                }
             }
             next = orders.try_recv().ok();
+        }
+    }
+
+    /// Cleans up what a broker before us has left, but for what the dead may have
+    /// sent.
+    fn begin(&mut self) {
+        fail_point!("stream.cleaning");
+        if let Ok(member) = &self.member {
+            member.clean_up(|peer, pid| {
+                self.dead.push(Dead::before_us(peer, pid));
+                true
+            });
+            fail_point!("stream.cleaned");
         }
     }
 
@@ -287,7 +303,16 @@ impl Keeper<'_> {
         let member = self.member.as_ref().map_err(Clone::clone)?;
         let metadata = &node.identity.metadata;
         fail_point!("stream.making");
-        let (stream, events) = open_stream(member, self.system, metadata, key.1, true)?;
+        let open = || open_stream(member, self.system, metadata, key.1, true);
+        let (stream, events) = match open() {
+            // One of the dead may have a stream open that gave way to this one.
+            Err(_) if !self.dead.is_empty() => {
+                self.dead.clear();
+                member.clean_up(|_, _| false);
+                open()
+            }
+            opened => opened,
+        }?;
         let newest = metadata
             .layout
             .is_large()
@@ -302,14 +327,6 @@ impl Keeper<'_> {
         self.kept.insert(key.clone(), kept);
         fail_point!("stream.made");
         Ok(())
-    }
-
-    fn forget(&mut self, key: &NodeKey) {
-        if let Some(kept) = self.kept.remove(key) {
-            // Another stream may come in its place, when nobody has this one open.
-            self.dead.iter_mut().for_each(|dead| dead.forget(&kept.node));
-            self.let_go();
-        }
     }
 
     /// Maps a new port: what is sent there from now on outlives it.

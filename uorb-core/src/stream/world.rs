@@ -145,7 +145,7 @@ const OF_PEER: &str = "uorb-";
 impl Member {
     /// Cleans up after the members that are dead, but for the processes of the
     /// system that are to be spared, by number and process id.
-    pub fn clean_up(&self, is_spared: impl Fn(u16, u32) -> bool) {
+    pub fn clean_up(&self, mut is_spared: impl FnMut(u16, u32) -> bool) {
         // What fails now is done at the next time.
         let _ = Node::<Ipc>::list(self.node.config(), |member| {
             if let NodeState::Dead(dead) = member {

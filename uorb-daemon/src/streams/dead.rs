@@ -17,15 +17,21 @@ pub(super) struct Dead {
     peer: u16,
     pid: u32,
     died: Instant,
-    /// Nodes with a port of its, and what is to be received there.
-    unreceived: Vec<(Arc<Node>, u64)>,
+    /// Nodes with a port of its, and what is to be received there; of one that died
+    /// before this broker began nobody knows.
+    unreceived: Option<Vec<(Arc<Node>, u64)>>,
 }
 
 impl Dead {
     /// A process that has died just now, and had its ports in some of these nodes.
     pub(super) fn new<'a>(peer: u16, pid: u32, nodes: impl Iterator<Item = &'a Arc<Node>>) -> Self {
         let unreceived = nodes.filter_map(|node| Some((node.clone(), node.unreceived_of(peer)?)));
-        Self { peer, pid, died: Instant::now(), unreceived: unreceived.collect() }
+        Self { peer, pid, died: Instant::now(), unreceived: Some(unreceived.collect()) }
+    }
+
+    /// A process that was dead when this broker began.
+    pub(super) fn before_us(peer: u16, pid: u32) -> Self {
+        Self { peer, pid, died: Instant::now(), unreceived: None }
     }
 
     pub(super) fn pid(&self) -> u32 {
@@ -38,13 +44,8 @@ impl Dead {
 
     /// Whether a follower may still find something in its ports.
     pub(super) fn is_needed(&self) -> bool {
-        let mut unreceived = self.unreceived.iter();
+        let is_unreceived = |(node, newest): &(Arc<Node>, u64)| !node.has_received(*newest);
         self.died.elapsed() < DEAD_KEPT_FOR
-            && unreceived.any(|(node, newest)| !node.has_received(*newest))
-    }
-
-    /// Nobody is to receive anything of this node any more.
-    pub(super) fn forget(&mut self, gone: &Arc<Node>) {
-        self.unreceived.retain(|(node, _)| !Arc::ptr_eq(node, gone));
+            && self.unreceived.as_ref().is_none_or(|nodes| nodes.iter().any(is_unreceived))
     }
 }
