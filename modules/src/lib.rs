@@ -13,8 +13,8 @@
 //!
 //! A module is an ordinary program. It runs until Ctrl-C, SIGTERM or
 //! `uorb stop`, and then leaves its `main` loop, so that its publications are
-//! unadvertised on the way out. What it has to tell goes to stdout, and why it
-//! ended, if nobody asked it to, to stderr.
+//! unadvertised on the way out. What it has to tell goes to stdout, and what went
+//! wrong to stderr.
 
 pub mod background;
 pub mod color;
@@ -62,8 +62,9 @@ pub fn run(module: impl FnOnce(&Stop, &mut StdoutLock<'static>) -> Outcome) -> E
     ExitCode::FAILURE
 }
 
-/// Says why. That nobody listens any more changes nothing.
-fn say(words: &dyn fmt::Display) {
+/// Says something on stderr. That nobody listens any more changes nothing: whoever
+/// started a module in the background has read its first words, and is gone.
+pub fn say(words: &dyn fmt::Display) {
     let path = std::env::args_os().next().unwrap_or_default();
     let name = Path::new(&path).file_name().unwrap_or_default().to_string_lossy();
     let _ = writeln!(io::stderr(), "{name}: {words}");

@@ -16,7 +16,7 @@ use nix::sys::socket::{
     AddressFamily, Backlog, SockFlag, SockType, SockaddrIn, bind, listen, socket,
 };
 use uorb_core::{Publication, Session, now_us, topic};
-use uorb_mavlink::dialect::{CA_TRAJECTORY_MSG_DATA, MavMessage};
+use uorb_mavlink::dialect::{CA_TRAJECTORY_MSG_DATA, MavMessage, PARAM_REQUEST_LIST_DATA};
 use uorb_msg::{
     CaTrajectoryMsg, LogMessage, MavlinkStatus, SensorCombined, VehicleAttitude, VehicleStatus,
 };
@@ -515,3 +515,26 @@ fn a_bridge_ends_with_its_system() {
     let ended = bridge.end();
     assert_eq!(ended.code, 0, "{}", ended.words);
 }
+#[test]
+fn a_bridge_in_the_background_outlives_whoever_started_it() {
+    let bus = Bus::start();
+    let file = bus.system.base().join("mine.params");
+    fs::write(&file, "SYS_AUTOSTART 4001\n").unwrap();
+    let mavlink = |arguments: &[&str]| bus.spawn_heard("mavlink", arguments).end().fine();
+    mavlink(&["start", "-u", "0", "-m", "custom", "--parameters", file.to_str().unwrap()]);
+    let status = mavlink(&["status"]);
+    let address = status.split_whitespace().nth(3).and_then(|address| address.rsplit(':').next());
+    let mut station = GroundStation::of(address.unwrap().parse().unwrap());
+
+    // It complains where nobody listens any more.
+    fs::write(&file, "nonsense\n").unwrap();
+    station.send(&MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
+        target_system: 1,
+        target_component: 1,
+    }));
+
+    station.said_so_far();
+    let stopped = mavlink(&["stop"]);
+    assert!(stopped.starts_with("[mavlink] ended: pid "), "{stopped}");
+}
+

@@ -7,6 +7,7 @@
 use std::collections::VecDeque;
 
 use uorb_core::now_us;
+use uorb_modules::say;
 use uorb_ulog::{Parameter, ParameterValue};
 
 use crate::dialect::{
@@ -68,7 +69,7 @@ impl Parameters {
         match decode(all[index].value, message.param_type, message.param_value) {
             Some(value) => {
                 if let Err(error) = self.file.set(name, value) {
-                    eprintln!("mavlink: {error}");
+                    say(&error);
                     complain(link, &format!("cannot save {name}"));
                 }
             }
@@ -99,7 +100,7 @@ impl Parameters {
     }
 
     fn read(&self) -> Vec<Parameter> {
-        let all = self.file.read().inspect_err(|error| eprintln!("mavlink: {error}"));
+        let all = self.file.read().inspect_err(|error| say(error));
         let mut all = all.unwrap_or_default();
         // MAVLink has no room for longer ones, nor for more of them.
         all.retain(|parameter| parameter.name.len() <= 16);
