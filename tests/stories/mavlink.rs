@@ -15,12 +15,14 @@ use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::socket::{
     AddressFamily, Backlog, SockFlag, SockType, SockaddrIn, bind, listen, socket,
 };
+use nix::sys::stat::Mode;
+use nix::unistd::mkfifo;
 use uorb_core::{Publication, Session, now_us, topic};
 use uorb_mavlink::dialect::{CA_TRAJECTORY_MSG_DATA, MavMessage, PARAM_REQUEST_LIST_DATA};
 use uorb_msg::{
     CaTrajectoryMsg, LogMessage, MavlinkStatus, SensorCombined, VehicleAttitude, VehicleStatus,
 };
-use uorb_tests::{Actor, Bus, PATIENCE, eventually};
+use uorb_tests::{Actor, Bus, PATIENCE, eventually, is_running};
 
 use super::ground_station::{GroundStation, decode, packet, port_of_next_link, read_message};
 
@@ -538,3 +540,65 @@ fn a_bridge_in_the_background_outlives_whoever_started_it() {
     assert!(stopped.starts_with("[mavlink] ended: pid "), "{stopped}");
 }
 
+#[test]
+fn a_bridge_that_could_not_be_shown_is_refused() {
+    let bus = Bus::start();
+    let links = [&["-u", "0", "--"][..]; 9].concat();
+    let mut ten = bridge(&bus, &[&links[..], &["-u", "0"]].concat());
+    (0..10).for_each(|_| assert_ne!(port_of_next_link(&mut ten), 0));
+
+    let mut eleventh = bus.spawn_heard("mavlink", &["start", "-u", "0"]);
+
+    eleventh.end().failed(&["ten links", "`mavlink stop`"]);
+    eventually("the ten are shown", || {
+        let status = bus.spawn_heard("mavlink", &["status"]).end();
+        status.out.matches(&format!("pid {}", ten.pid())).count() == 10
+    });
+}
+
+#[test]
+fn a_start_that_is_interrupted_leaves_no_bridge() {
+    let bus = Bus::start();
+    // Whoever reads this waits until somebody writes.
+    let file = bus.system.base().join("parameters");
+    mkfifo(&file, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
+    let options = ["start", "-u", "0", "--parameters", file.to_str().unwrap()];
+    let mut start = bus.spawn_heard("mavlink", &options);
+    let ours = [start.pid(), std::process::id()];
+    let joined = || bus.processes().into_iter().find(|pid| !ours.contains(pid));
+    eventually("the bridge has joined", || joined().is_some());
+    let bridge = joined().unwrap();
+
+    assert_eq!(start.interrupt().fine(), "");
+
+    fs::write(&file, "SYS_AUTOSTART 4001\n").unwrap();
+    eventually("the bridge has ended", || !is_running(bridge));
+}
+
+#[test]
+fn what_cannot_be_is_said_with_its_cure() {
+    let bus = Bus::start();
+    let mavlink = |arguments: &[&str]| bus.spawn_heard("mavlink", arguments).end();
+    let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    mavlink(&["-u", &port]).failed(&[&port, "in use"]);
+    mavlink(&["-u", "0", "-t", "192.0.2.1"]).failed(&["--bind 0.0.0.0"]);
+    mavlink(&["-d", "/dev/no-such-device"]).failed(&["/dev/no-such-device"]);
+    for vehicle in ["250", "60000", "4294967295"] {
+        mavlink(&["-u", "0", "-i", vehicle]).failed(&["0 to 249", "-i"]);
+        mavlink(&["-i", vehicle]).failed(&["0 to 249", "-i"]);
+    }
+    mavlink(&["-m", "minimal"]).failed(&["-m", "-u"]);
+    mavlink(&["-u", "0", "-t", "::1", "--bind", "127.0.0.1"]).failed(&["::1", "127.0.0.1"]);
+    mavlink(&["-u", "0", "--signing-key", "/dev/null"]).failed(&["openssl rand -hex 32"]);
+}
+
+#[test]
+fn a_bridge_ends_with_its_system() {
+    let mut bus = Bus::start();
+    let (mut bridge, mut station) = link(&bus, &["-m", "custom"]);
+    let _ = station.next();
+    bus.stop();
+    let ended = bridge.end();
+    assert_eq!(ended.code, 0, "{}", ended.words);
+}

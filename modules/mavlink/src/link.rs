@@ -73,8 +73,7 @@ pub struct Link {
 /// What `mavlink_status` is made of.
 #[derive(Debug)]
 struct StatusReport {
-    /// None where all instances are taken.
-    publication: Option<Publication<MavlinkStatus>>,
+    publication: Publication<MavlinkStatus>,
     last_us: u64,
     received: Received,
     transmitted: Transmitted,
@@ -85,21 +84,16 @@ impl Link {
     ///
     /// # Errors
     ///
-    /// [`Error::NoBroker`].
+    /// [`Error::Refused`] where as many links are shown as a topic has instances: nobody
+    /// would find this one, or end it. [`Error::NoBroker`].
     pub fn new(
         session: &Session,
         transport: Box<dyn Transport>,
         signing: Option<Arc<SigningData>>,
         settings: Settings,
     ) -> Result<Self, Error> {
-        let publication = match Publication::advertise_multi(session, Priority::DEFAULT) {
-            Ok(publication) => Some(publication),
-            // More links than instances: this one is not shown.
-            Err(Error::Refused(_)) => None,
-            Err(error) => return Err(error),
-        };
         let status = StatusReport {
-            publication,
+            publication: Publication::advertise_multi(session, Priority::DEFAULT)?,
             last_us: 0,
             received: Received::default(),
             transmitted: Transmitted::default(),
@@ -224,10 +218,8 @@ impl Link {
         let words = self.describe();
         let len = words.len().min(status.link.len() - 1);
         status.link[..len].copy_from_slice(&words.as_bytes()[..len]);
-        if let Some(publication) = &mut self.status.publication {
-            // A system that has ended ends the link in its next turn.
-            let _ = publication.publish(&status);
-        }
+        // A system that has ended ends the link in its next turn.
+        let _ = self.status.publication.publish(&status);
     }
 }
 

@@ -13,7 +13,8 @@ use std::sync::Arc;
 use std::thread;
 
 use clap::Parser;
-use uorb_core::Session;
+use uorb_core::Error::Refused;
+use uorb_core::{Refusal, Session};
 use uorb_mavlink::incoming::Incoming;
 use uorb_mavlink::link::{Link, Settings};
 use uorb_mavlink::parameter_file::{ParameterFile, ParameterFileError};
@@ -147,5 +148,10 @@ fn open(session: &Session, number: usize, options: &LinkOptions) -> Result<Link,
     })?;
     let signing = options.signing_key.as_deref().map(|path| signing(path, number as u8));
     let signing = signing.transpose()?.map(Arc::new);
-    Ok(Link::new(session, transport, signing, settings)?)
+    Link::new(session, transport, signing, settings).map_err(|error| match error {
+        Refused(Refusal::InstancesTaken { .. }) => {
+            "a system has ten links at most: use fewer, or end others with `mavlink stop`".into()
+        }
+        error => error.into(),
+    })
 }
