@@ -203,6 +203,25 @@ pub(crate) fn read_message(stream: &mut impl Read) -> (MavHeader, MavMessage) {
     decode(&raw)
 }
 
+/// A question that every bridge answers.
+pub(crate) fn question(seq: u32) -> Vec<u8> {
+    packet(GROUND_STATION, &MavMessage::PING(PING_DATA { seq, ..PING_DATA::DEFAULT }))
+}
+
+/// Reads on until the question of this number is answered.
+#[track_caller]
+pub(crate) fn until_answer(stream: &mut impl Read, seq: u32) {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        assert!(Instant::now() < deadline, "it does not answer");
+        if let (_, MavMessage::PING(ping)) = read_message(stream)
+            && ping.seq == seq
+        {
+            return;
+        }
+    }
+}
+
 /// The port of a UDP or TCP link: `[mavlink] udp 127.0.0.1:4711 -> ...`.
 #[track_caller]
 pub(crate) fn port_of_next_link(bridge: &mut Actor) -> u16 {

@@ -24,7 +24,9 @@ use uorb_msg::{
 };
 use uorb_tests::{Actor, Bus, PATIENCE, eventually, is_running};
 
-use super::ground_station::{GroundStation, decode, packet, port_of_next_link, read_message};
+use super::ground_station::{
+    GroundStation, decode, packet, port_of_next_link, question, read_message, until_answer,
+};
 
 fn bridge(bus: &Bus, options: &[&str]) -> Actor {
     bus.spawn_heard("mavlink", options)
@@ -284,14 +286,19 @@ fn a_signed_link_takes_what_its_key_has_signed() {
     assert_eq!(trajectory.copy().map(|message| message.seq_id), Some(2));
 }
 
+fn connect(port: u16) -> TcpStream {
+    let stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream
+}
+
 #[test]
 fn a_partner_may_connect_by_tcp_and_come_again() {
     let bus = Bus::start();
     let mut bridge = bridge(&bus, &["--tcp-listen", "0", "-m", "custom"]);
     let port = port_of_next_link(&mut bridge);
     for _ in 0..2 {
-        let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let mut stream = connect(port);
         let (header, message) = read_message(&mut stream);
         assert!(matches!(message, MavMessage::HEARTBEAT(_)), "{message:?}");
         assert_eq!(header.system_id, 1);
@@ -319,13 +326,48 @@ fn a_bridge_connects_by_tcp_as_soon_as_somebody_listens_and_again() {
 }
 
 #[test]
-fn a_serial_device_carries_messages_both_ways() {
-    let mut bus = Bus::start();
+fn a_partner_that_broke_off_within_a_packet_does_not_deafen_the_next() {
+    let bus = Bus::start();
+    let mut bridge = bridge(&bus, &["--tcp-listen", "0", "-m", "custom"]);
+    let port = port_of_next_link(&mut bridge);
+    let mut first = connect(port);
+    // In one piece: with the question, the bridge has what stands behind it.
+    first.write_all(&[&question(1)[..], &[0xfd, 255, 0]].concat()).unwrap();
+    until_answer(&mut first, 1);
+    drop(first);
+
+    let mut second = connect(port);
+    second.write_all(&question(2)).unwrap();
+
+    until_answer(&mut second, 2);
+}
+
+/// A serial device, and its other end.
+fn serial() -> (String, File) {
     let master = posix_openpt(OFlag::O_RDWR | OFlag::O_NOCTTY).unwrap();
     grantpt(&master).unwrap();
     unlockpt(&master).unwrap();
     let device = ptsname_r(&master).unwrap();
-    let mut master = File::from(std::os::fd::OwnedFd::from(master));
+    (device, File::from(std::os::fd::OwnedFd::from(master)))
+}
+
+#[test]
+fn a_serial_device_that_has_lost_bytes_hears_the_next_message() {
+    let bus = Bus::start();
+    let (device, mut master) = serial();
+    let mut bridge = bridge(&bus, &["-d", &device, "-m", "custom"]);
+    bridge.until(&["serial ", "57600 baud"]);
+
+    // The beginning of a long packet, whose rest does not come.
+    master.write_all(&[&[0xfd, 255, 0], &question(1)[..]].concat()).unwrap();
+
+    until_answer(&mut master, 1);
+}
+
+#[test]
+fn a_serial_device_carries_messages_both_ways() {
+    let mut bus = Bus::start();
+    let (device, mut master) = serial();
     let mut reader = BufReader::new(master.try_clone().unwrap());
     let mut bridge = bridge(&bus, &["-d", &device, "-b", "57600", "-m", "custom"]);
     bridge.until(&["serial ", "57600 baud"]);

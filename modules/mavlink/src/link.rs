@@ -135,8 +135,13 @@ impl Link {
                 return Err(Error::Ended { path: self.session.system().dir() });
             }
             for _ in 0..RECEIVES_A_TURN_MAX {
-                let Some(len) = self.port.transport.receive(&mut buffer) else { break };
-                self.take(&buffer[..len], &mut incoming);
+                let received = self.port.transport.receive(&mut buffer);
+                if self.port.transport.has_begun() {
+                    self.parser.begin();
+                }
+                let Some(len) = received else { break };
+                self.parser.push(&buffer[..len]);
+                self.take_packets(&mut incoming);
             }
             let now_us = now_us();
             self.streams.step(now_us, &mut self.port);
@@ -144,13 +149,14 @@ impl Link {
             if now_us >= self.status.last_us + STATUS_EVERY_US {
                 self.report(now_us);
             }
+            self.parser.give_up(now_us);
+            self.take_packets(&mut incoming);
             self.sleep(&mut incoming)?;
         }
         Ok(())
     }
 
-    fn take(&mut self, bytes: &[u8], incoming: &mut Incoming) {
-        self.parser.push(bytes);
+    fn take_packets(&mut self, incoming: &mut Incoming) {
         while let Some(packet) = self.parser.next_packet() {
             let ours = (u32::from(self.port.system_id()), self.port.component_id());
             // Our own words, come back on a loop.
