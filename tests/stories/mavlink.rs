@@ -444,6 +444,53 @@ fn a_link_that_cannot_keep_up_sends_less_often_and_says_so() {
 }
 
 #[test]
+fn a_list_of_parameters_keeps_to_the_rate_of_its_link_and_streams_give_way() {
+    let bus = Bus::start();
+    let file = bus.system.base().join("many.params");
+    fs::write(&file, (0..5_000).map(|n| format!("P{n} {n}\n")).collect::<String>()).unwrap();
+    while_turning(&bus, || {
+        let options = ["-m", "onboard", "-r", "2000", "--parameters", file.to_str().unwrap()];
+        let (_bridge, mut station) = link(&bus, &options);
+        let session = Session::connect_to(&bus.system).unwrap();
+        let mut status = uorb_core::Subscription::<MavlinkStatus>::subscribe(&session).unwrap();
+        station.send(&MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
+            target_system: 1,
+            target_component: 1,
+        }));
+        eventually("it keeps to its rate", || {
+            let _ = station.all_for(Duration::from_millis(500));
+            status.copy().is_some_and(|said| (1_000.0..2_200.0).contains(&said.tx_rate))
+        });
+        // It is not over, and the streams are there.
+        station.until(|message| matches!(message, MavMessage::PARAM_VALUE(_)).then_some(()));
+        station.until(attitude_ms);
+    });
+}
+
+#[test]
+fn a_list_of_parameters_ends_with_the_partner_who_asked_for_it() {
+    let bus = Bus::start();
+    let file = bus.system.base().join("many.params");
+    fs::write(&file, (0..5_000).map(|n| format!("P{n} {n}\n")).collect::<String>()).unwrap();
+    let options = ["--tcp-listen", "0", "-m", "custom", "--parameters", file.to_str().unwrap()];
+    let mut bridge = bridge(&bus, &options);
+    let port = port_of_next_link(&mut bridge);
+    let mut first = connect(port);
+    let list = PARAM_REQUEST_LIST_DATA { target_system: 1, target_component: 1 };
+    let list = packet(MavHeader::default(), &MavMessage::PARAM_REQUEST_LIST(list));
+    first.write_all(&list).unwrap();
+    while !matches!(read_message(&mut first).1, MavMessage::PARAM_VALUE(_)) {}
+    drop(first);
+
+    let mut second = connect(port);
+
+    for _ in 0..2 {
+        let (_, message) = read_message(&mut second);
+        assert!(matches!(message, MavMessage::HEARTBEAT(_)), "{message:?}");
+    }
+}
+
+#[test]
 fn words_of_modules_are_status_texts() {
     let mut bus = Bus::start();
     let (_bridge, mut station) = link(&bus, &["-m", "custom"]);

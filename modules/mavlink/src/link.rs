@@ -113,6 +113,11 @@ impl Link {
         })
     }
 
+    /// How many bytes a second may go out.
+    pub fn data_rate(&self) -> u32 {
+        self.settings.data_rate
+    }
+
     /// In words: where it is, and who its partner is.
     pub fn describe(&self) -> String {
         self.port.transport.describe()
@@ -138,19 +143,20 @@ impl Link {
                 let received = self.port.transport.receive(&mut buffer);
                 if self.port.transport.has_begun() {
                     self.parser.begin();
+                    incoming.begin();
                 }
                 let Some(len) = received else { break };
                 self.parser.push(&buffer[..len]);
                 self.take_packets(&mut incoming);
             }
             let now_us = now_us();
+            self.parser.give_up(now_us);
+            self.take_packets(&mut incoming);
             self.streams.step(now_us, &mut self.port);
             incoming.step(&mut self, now_us);
             if now_us >= self.status.last_us + STATUS_EVERY_US {
                 self.report(now_us);
             }
-            self.parser.give_up(now_us);
-            self.take_packets(&mut incoming);
             self.sleep(&mut incoming)?;
         }
         Ok(())
@@ -195,7 +201,7 @@ impl Link {
         let (received, transmitted) = (*self.parser.received(), *self.port.transmitted());
         let before = std::mem::replace(&mut self.status.last_us, now_us);
         let elapsed_us = now_us - before;
-        self.streams.fit(elapsed_us, transmitted.dropped);
+        self.streams.fit(elapsed_us, transmitted);
 
         let last_received = std::mem::replace(&mut self.status.received, received);
         let last_transmitted = std::mem::replace(&mut self.status.transmitted, transmitted);
