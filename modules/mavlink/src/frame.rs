@@ -217,6 +217,8 @@ impl Parser {
             if is_unknown && next.is_none_or(|byte| is_marker(*byte)) {
                 self.start += len;
                 self.received.unknown += 1;
+                // It is unknown and not missing.
+                self.count(header);
             } else {
                 self.received.bad_checksum += u64::from(!is_unknown);
                 self.refuse();
@@ -336,8 +338,6 @@ mod tests {
     }
 
     #[test]
-    fn a_packet_is_found_behind_a_broken_one() {
-    #[test]
     fn what_a_stream_broke_off_is_no_part_of_the_next() {
         let mut parser = Parser::new(Delivery::Stream, None);
         parser.push(&[0xfd, 255, 0]);
@@ -370,6 +370,8 @@ mod tests {
         assert_eq!(heard(Delivery::Line, later, REST_TIMEOUT_US), []);
     }
 
+    #[test]
+    fn a_packet_is_found_behind_a_broken_one() {
         let mut broken = packet(0, &heartbeat(1));
         broken[10] ^= 1;
         let mut parser = Parser::new(Delivery::Datagrams, None);
@@ -398,6 +400,16 @@ mod tests {
         parser.push(&[&unknown[..], &packet(1, &heartbeat(2))].concat());
         assert_eq!(all(&mut parser), [heartbeat(2)]);
         assert_eq!((parser.received().unknown, parser.received().garbage_bytes), (1, 0));
+    }
+
+    #[test]
+    fn an_unknown_message_is_not_lost() {
+        let mut unknown = packet(1, &heartbeat(1));
+        unknown[7..10].copy_from_slice(&[0x11, 0x22, 0x01]);
+        let mut parser = Parser::new(Delivery::Stream, None);
+        parser.push(&[packet(0, &heartbeat(1)), unknown, packet(2, &heartbeat(2))].concat());
+        assert_eq!(all(&mut parser), [heartbeat(1), heartbeat(2)]);
+        assert_eq!((parser.received().unknown, parser.received().lost), (1, 0));
     }
 
     #[test]
