@@ -6,7 +6,7 @@ use std::fs;
 use uorb_core::{Subscription, Topic, poll};
 use uorb_mavlink::dialect::*;
 use uorb_msg::{
-    CaTrajectoryMsg, GpsInjectData, ManualControlSetpoint, OffboardControlMode,
+    BatteryStatus, CaTrajectoryMsg, GpsInjectData, ManualControlSetpoint, OffboardControlMode,
     PositionSetpointTriplet, SensorAccel, SensorBaro, SensorGyro, SensorMag,
     VehicleAttitudeSetpoint, VehicleCommand, VehicleCommandAck, VehicleGpsPosition, VehicleStatus,
 };
@@ -197,6 +197,19 @@ fn a_partner_chooses_which_messages_it_gets_and_how_often() {
     ] {
         station.command(command, 0, param1, 0.0);
         assert_eq!(station.result_of(command), result, "{command} {param1}");
+    }
+}
+
+#[test]
+fn a_battery_can_be_asked_for_again_and_again() {
+    let mut bus = Bus::start();
+    let (mut station, _bridge) = GroundStation::with_bridge(&bus, &["-m", "custom"]);
+    let mut battery = bus.advertise::<BatteryStatus>();
+    let message = BatteryStatus { connected: true.into(), remaining: 0.5, ..Default::default() };
+    battery.publish(&message).unwrap();
+    for _ in 0..2 {
+        station.command(512, 0, 147.0, 0.0);
+        assert_eq!(station.result_of(512), ACCEPTED);
     }
 }
 

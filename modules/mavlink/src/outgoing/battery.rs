@@ -57,7 +57,8 @@ pub(super) fn batteries(session: &Session) -> Box<dyn Source> {
     let mut batteries = follow_batteries(session);
     on_clock(move |send| {
         for (id, battery) in batteries.iter_mut().enumerate() {
-            if let Some(battery) = battery.update() {
+            // The newest, also if it was sent before: whoever asks again wants an answer.
+            if let Some(battery) = battery.copy() {
                 send(MavMessage::BATTERY_STATUS(battery_message(id as u8, &battery)));
             }
         }
@@ -68,8 +69,8 @@ fn battery_message(id: u8, battery: &BatteryStatus) -> BATTERY_STATUS_DATA {
     use MavBatteryChargeState as State;
     let is_there = bool::from(battery.connected);
     let known = |value| if is_there { value } else { -1 };
-    let charge_state = match battery.warning {
     let is_measured = is_there && battery.voltage_v.is_finite();
+    let charge_state = match battery.warning {
         BatteryStatus::BATTERY_WARNING_NONE => State::MAV_BATTERY_CHARGE_STATE_OK,
         BatteryStatus::BATTERY_WARNING_LOW => State::MAV_BATTERY_CHARGE_STATE_LOW,
         BatteryStatus::BATTERY_WARNING_CRITICAL => State::MAV_BATTERY_CHARGE_STATE_CRITICAL,
@@ -116,7 +117,6 @@ fn filtered_voltage_v(battery: &BatteryStatus) -> f32 {
     }
 }
 
-fn centiamperes(battery: &BatteryStatus) -> i16 {
 /// 65,535 says that nobody has measured it.
 fn millivolts(voltage_v: f32) -> u16 {
     if voltage_v.is_finite() { (voltage_v * 1e3).round() as u16 } else { u16::MAX }
@@ -127,6 +127,7 @@ fn milliampere_hours(battery: &BatteryStatus) -> i32 {
     if battery.discharged_mah >= 0.0 { battery.discharged_mah as i32 } else { -1 }
 }
 
+fn centiamperes(battery: &BatteryStatus) -> i16 {
     let current_a = match battery.current_filtered_a {
         0.0 => battery.current_a,
         filtered => filtered,
@@ -174,7 +175,6 @@ mod tests {
     }
 
     #[test]
-    #[test]
     fn what_nobody_has_measured_is_unknown_and_not_a_number() {
         let battery = BatteryStatus {
             connected: true.into(),
@@ -193,6 +193,7 @@ mod tests {
         assert_eq!(status.battery_remaining, -1);
     }
 
+    #[test]
     fn a_system_s_status() {
         let load = Cpuload { load: 0.4567, ..Cpuload::default() };
         let status =
