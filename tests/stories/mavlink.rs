@@ -585,28 +585,6 @@ fn a_bridge_starts_in_the_background_says_how_it_is_and_stops() {
 }
 
 #[test]
-fn what_cannot_be_is_said_with_its_cure() {
-    let bus = Bus::start();
-    let mavlink = |arguments: &[&str]| bus.spawn_heard("mavlink", arguments).end();
-    let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
-    let port = taken.local_addr().unwrap().port().to_string();
-    mavlink(&["-u", &port]).failed(&[&port, "in use"]);
-    mavlink(&["-u", "0", "-t", "192.0.2.1"]).failed(&["--bind 0.0.0.0"]);
-    mavlink(&["-d", "/dev/no-such-device"]).failed(&["/dev/no-such-device"]);
-    mavlink(&["-u", "0", "-i", "250"]).failed(&["-i"]);
-    mavlink(&["-u", "0", "--signing-key", "/dev/null"]).failed(&["openssl rand -hex 32"]);
-}
-
-#[test]
-fn a_bridge_ends_with_its_system() {
-    let mut bus = Bus::start();
-    let (mut bridge, mut station) = link(&bus, &["-m", "custom"]);
-    let _ = station.next();
-    bus.stop();
-    let ended = bridge.end();
-    assert_eq!(ended.code, 0, "{}", ended.words);
-}
-#[test]
 fn a_bridge_in_the_background_outlives_whoever_started_it() {
     let bus = Bus::start();
     let file = bus.system.base().join("mine.params");

@@ -94,7 +94,7 @@ fn bridge(links: Vec<LinkOptions>, stop: &Stop, out: &mut impl Write) -> Outcome
     let session = Session::connect()?;
     let system = session.system().number();
     let links = match &links[..] {
-        [alone] if alone.has_no_way() => alone.pair(alone.vehicle(system)),
+        [alone] if alone.has_no_way() => alone.pair(alone.system_id(system)?)?,
         _ => links,
     };
     let mut opened = Vec::new();
@@ -134,7 +134,7 @@ fn parameter_file(
 fn open(session: &Session, number: usize, options: &LinkOptions) -> Result<Link, Box<dyn Error>> {
     let settings = Settings {
         system_id: options.system_id(session.system().number())?,
-        mode: options.mode,
+        mode: options.mode(),
         data_rate: options.data_rate(),
     };
     let address = options.address()?;
