@@ -53,7 +53,8 @@ fn runs<T: Topic>(session: &Session, pid: u32) -> Result<bool, uorb_core::Error>
 }
 
 /// Starts this program in the background, with these arguments, and waits until it
-/// publishes `T`. Returns its process id.
+/// publishes `T`. Returns its process id. None: we are to stop ourselves, and it ends
+/// with us.
 ///
 /// # Errors
 ///
@@ -62,7 +63,7 @@ pub fn start<T: Topic>(
     session: &Session,
     arguments: impl IntoIterator<Item = OsString>,
     stop: &Stop,
-) -> Result<u32, Box<dyn Error>> {
+) -> Result<Option<u32>, Box<dyn Error>> {
     let program = std::env::current_exe()?;
     let mut child = Command::new(&program)
         .args(arguments)
@@ -83,10 +84,11 @@ pub fn start<T: Topic>(
             return Err(words.trim().trim_start_matches(&format!("{name}: ")).into());
         }
         if runs::<T>(session, child.id())? {
-            break;
+            return Ok(Some(child.id()));
         }
     }
-    Ok(child.id())
+    kill(Pid::from_raw(child.id() as i32), Signal::SIGTERM)?;
+    Ok(None)
 }
 
 /// Asks one to end, and waits until it publishes `T` no more. False: it does not

@@ -13,8 +13,8 @@
 //!
 //! A module is an ordinary program. It runs until Ctrl-C, SIGTERM or
 //! `uorb stop`, and then leaves its `main` loop, so that its publications are
-//! unadvertised on the way out. What it has to tell goes to stdout, and why it
-//! ended, if nobody asked it to, to stderr.
+//! unadvertised on the way out. What it has to tell goes to stdout, and what went
+//! wrong to stderr.
 
 pub mod background;
 pub mod color;
@@ -62,8 +62,9 @@ pub fn run(module: impl FnOnce(&Stop, &mut StdoutLock<'static>) -> Outcome) -> E
     ExitCode::FAILURE
 }
 
-/// Says why. That nobody listens any more changes nothing.
-fn say(words: &dyn fmt::Display) {
+/// Says something on stderr. That nobody listens any more changes nothing: whoever
+/// started a module in the background has read its first words, and is gone.
+pub fn say(words: &dyn fmt::Display) {
     let path = std::env::args_os().next().unwrap_or_default();
     let name = Path::new(&path).file_name().unwrap_or_default().to_string_lossy();
     let _ = writeln!(io::stderr(), "{name}: {words}");
@@ -168,6 +169,21 @@ impl Ticks {
     }
 }
 
+/// The most vehicles that MAVLink can number; 255 are ground stations.
+const VEHICLES_MAX: u32 = 250;
+
+/// A vehicle's number in MAVLink: one more.
+///
+/// # Errors
+///
+/// In words, for whoever has numbered it.
+pub fn system_id(vehicle: u32) -> Result<u8, String> {
+    match vehicle {
+        0..VEHICLES_MAX => Ok(vehicle as u8 + 1),
+        _ => Err(format!("vehicle {vehicle}: MAVLink numbers 0 to 249; say another with -i")),
+    }
+}
+
 /// A rate on the command line: a positive number of hertz.
 ///
 /// # Errors
@@ -184,6 +200,14 @@ pub fn parse_rate(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn vehicles_are_numbered_from_1_in_mavlink() {
+        assert_eq!((system_id(0), system_id(249)), (Ok(1), Ok(250)));
+        for vehicle in [250, u32::MAX] {
+            assert!(system_id(vehicle).unwrap_err().contains("-i"));
+        }
+    }
 
     #[test]
     fn a_third_of_a_second_does_not_add_up_to_a_drift() {

@@ -29,8 +29,13 @@ impl GroundStation {
 
     /// One that speaks to the bridge at this port.
     pub(crate) fn of(port: u16) -> Self {
+        Self::at(([127, 0, 0, 1], port).into())
+    }
+
+    /// One that speaks to the bridge at this address.
+    pub(crate) fn at(bridge: SocketAddr) -> Self {
         let mut station = Self::new();
-        station.bridge = Some(SocketAddr::from(([127, 0, 0, 1], port)));
+        station.bridge = Some(bridge);
         station.hello();
         station
     }
@@ -123,7 +128,9 @@ impl GroundStation {
         let seq = u32::from(self.sequence);
         self.send(&MavMessage::PING(PING_DATA { seq, ..PING_DATA::DEFAULT }));
         let mut said = Vec::new();
+        let deadline = Instant::now() + PATIENCE;
         loop {
+            assert!(Instant::now() < deadline, "it does not answer: {said:?}");
             match self.next().1 {
                 MavMessage::PING(ping) if ping.seq == seq => return said,
                 message => said.push(message),
@@ -194,6 +201,25 @@ pub(crate) fn read_message(stream: &mut impl Read) -> (MavHeader, MavMessage) {
     let end = 12 + usize::from(bytes[1]);
     stream.read_exact(&mut bytes[10..end]).expect("the rest of it");
     decode(&raw)
+}
+
+/// A question that every bridge answers.
+pub(crate) fn question(seq: u32) -> Vec<u8> {
+    packet(GROUND_STATION, &MavMessage::PING(PING_DATA { seq, ..PING_DATA::DEFAULT }))
+}
+
+/// Reads on until the question of this number is answered.
+#[track_caller]
+pub(crate) fn until_answer(stream: &mut impl Read, seq: u32) {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        assert!(Instant::now() < deadline, "it does not answer");
+        if let (_, MavMessage::PING(ping)) = read_message(stream)
+            && ping.seq == seq
+        {
+            return;
+        }
+    }
 }
 
 /// The port of a UDP or TCP link: `[mavlink] udp 127.0.0.1:4711 -> ...`.

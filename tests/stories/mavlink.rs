@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::io::{BufReader, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::PermissionsExt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -11,14 +12,21 @@ use std::time::Duration;
 use mavlink_core::{MAVLinkV2MessageRaw, MavHeader, SigningConfig, SigningData};
 use nix::fcntl::OFlag;
 use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
+use nix::sys::socket::{
+    AddressFamily, Backlog, SockFlag, SockType, SockaddrIn, bind, listen, socket,
+};
+use nix::sys::stat::Mode;
+use nix::unistd::mkfifo;
 use uorb_core::{Publication, Session, now_us, topic};
-use uorb_mavlink::dialect::{CA_TRAJECTORY_MSG_DATA, MavMessage};
+use uorb_mavlink::dialect::{CA_TRAJECTORY_MSG_DATA, MavMessage, PARAM_REQUEST_LIST_DATA};
 use uorb_msg::{
     CaTrajectoryMsg, LogMessage, MavlinkStatus, SensorCombined, VehicleAttitude, VehicleStatus,
 };
-use uorb_tests::{Actor, Bus, PATIENCE, eventually};
+use uorb_tests::{Actor, Bus, PATIENCE, eventually, is_running};
 
-use super::ground_station::{GroundStation, decode, packet, port_of_next_link, read_message};
+use super::ground_station::{
+    GroundStation, decode, packet, port_of_next_link, question, read_message, until_answer,
+};
 
 fn bridge(bus: &Bus, options: &[&str]) -> Actor {
     bus.spawn_heard("mavlink", options)
@@ -157,9 +165,12 @@ fn two_links_of_one_process_have_modes_of_their_own() {
     });
     assert_eq!((imu.time_usec, imu.xacc, imu.yacc, imu.zacc), (42, 0.5, -0.25, -9.75));
     // SYS_STATUS and the like need topics that nobody publishes here.
-    let heard = station.all_for(Duration::from_millis(1_500));
-    assert!(heard.iter().any(|(_, message)| matches!(message, MavMessage::HEARTBEAT(_))));
-    assert!(!heard.iter().any(|(_, message)| matches!(message, MavMessage::HIGHRES_IMU(_))));
+    for _ in 0..2 {
+        station.until(|message| {
+            assert!(!matches!(message, MavMessage::HIGHRES_IMU(_)), "no stream of its mode");
+            matches!(message, MavMessage::HEARTBEAT(_)).then_some(())
+        });
+    }
 }
 
 #[test]
@@ -192,12 +203,16 @@ fn two_vehicles_on_one_machine_are_not_mixed_up() {
 #[test]
 fn a_ground_station_hears_a_bridge_again_that_was_killed() {
     let bus = Bus::start();
-    let (mut killed, mut station) = link(&bus, &["-m", "custom"]);
+    // The port is given back for a moment. Whoever asks for any gets it at 127.0.0.1,
+    // where all others are.
+    let mut killed = bridge(&bus, &["-u", "0", "--bind", "127.0.0.2", "-m", "custom"]);
+    let port = port_of_next_link(&mut killed);
+    let mut station = GroundStation::at(([127, 0, 0, 2], port).into());
     let _ = station.next();
-    let port = station.bridge_port();
 
     killed.kill();
-    let _restarted = bridge(&bus, &["-u", &port.to_string(), "-m", "custom"]);
+    let _restarted =
+        bridge(&bus, &["-u", &port.to_string(), "--bind", "127.0.0.2", "-m", "custom"]);
 
     // As ground stations do: it says again and again that it is there.
     eventually("it is heard again", || {
@@ -271,14 +286,19 @@ fn a_signed_link_takes_what_its_key_has_signed() {
     assert_eq!(trajectory.copy().map(|message| message.seq_id), Some(2));
 }
 
+fn connect(port: u16) -> TcpStream {
+    let stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream
+}
+
 #[test]
 fn a_partner_may_connect_by_tcp_and_come_again() {
     let bus = Bus::start();
     let mut bridge = bridge(&bus, &["--tcp-listen", "0", "-m", "custom"]);
     let port = port_of_next_link(&mut bridge);
     for _ in 0..2 {
-        let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let mut stream = connect(port);
         let (header, message) = read_message(&mut stream);
         assert!(matches!(message, MavMessage::HEARTBEAT(_)), "{message:?}");
         assert_eq!(header.system_id, 1);
@@ -288,12 +308,15 @@ fn a_partner_may_connect_by_tcp_and_come_again() {
 #[test]
 fn a_bridge_connects_by_tcp_as_soon_as_somebody_listens_and_again() {
     let bus = Bus::start();
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    // It has a port, and nobody listens there yet.
+    let socket =
+        socket(AddressFamily::Inet, SockType::Stream, SockFlag::SOCK_CLOEXEC, None).unwrap();
+    bind(socket.as_raw_fd(), &SockaddrIn::new(127, 0, 0, 1, 0)).unwrap();
+    let listener = TcpListener::from(socket);
     let address = listener.local_addr().unwrap();
-    drop(listener);
     let mut bridge = bridge(&bus, &["--tcp", &address.to_string(), "-m", "custom"]);
     bridge.until(&["tcp -> ", "not connected"]);
-    let listener = TcpListener::bind(address).unwrap();
+    listen(&listener, Backlog::new(1).unwrap()).unwrap();
     for _ in 0..2 {
         let (mut stream, _) = listener.accept().unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -303,13 +326,48 @@ fn a_bridge_connects_by_tcp_as_soon_as_somebody_listens_and_again() {
 }
 
 #[test]
-fn a_serial_device_carries_messages_both_ways() {
-    let mut bus = Bus::start();
+fn a_partner_that_broke_off_within_a_packet_does_not_deafen_the_next() {
+    let bus = Bus::start();
+    let mut bridge = bridge(&bus, &["--tcp-listen", "0", "-m", "custom"]);
+    let port = port_of_next_link(&mut bridge);
+    let mut first = connect(port);
+    // In one piece: with the question, the bridge has what stands behind it.
+    first.write_all(&[&question(1)[..], &[0xfd, 255, 0]].concat()).unwrap();
+    until_answer(&mut first, 1);
+    drop(first);
+
+    let mut second = connect(port);
+    second.write_all(&question(2)).unwrap();
+
+    until_answer(&mut second, 2);
+}
+
+/// A serial device, and its other end.
+fn serial() -> (String, File) {
     let master = posix_openpt(OFlag::O_RDWR | OFlag::O_NOCTTY).unwrap();
     grantpt(&master).unwrap();
     unlockpt(&master).unwrap();
     let device = ptsname_r(&master).unwrap();
-    let mut master = File::from(std::os::fd::OwnedFd::from(master));
+    (device, File::from(std::os::fd::OwnedFd::from(master)))
+}
+
+#[test]
+fn a_serial_device_that_has_lost_bytes_hears_the_next_message() {
+    let bus = Bus::start();
+    let (device, mut master) = serial();
+    let mut bridge = bridge(&bus, &["-d", &device, "-m", "custom"]);
+    bridge.until(&["serial ", "57600 baud"]);
+
+    // The beginning of a long packet, whose rest does not come.
+    master.write_all(&[&[0xfd, 255, 0], &question(1)[..]].concat()).unwrap();
+
+    until_answer(&mut master, 1);
+}
+
+#[test]
+fn a_serial_device_carries_messages_both_ways() {
+    let mut bus = Bus::start();
+    let (device, mut master) = serial();
     let mut reader = BufReader::new(master.try_clone().unwrap());
     let mut bridge = bridge(&bus, &["-d", &device, "-b", "57600", "-m", "custom"]);
     bridge.until(&["serial ", "57600 baud"]);
@@ -383,6 +441,53 @@ fn a_link_that_cannot_keep_up_sends_less_often_and_says_so() {
         let words = bus.spawn_heard("mavlink", &["status"]).end().fine();
         assert!(words.contains("the link is too slow for its mode"), "{words}");
     });
+}
+
+#[test]
+fn a_list_of_parameters_keeps_to_the_rate_of_its_link_and_streams_give_way() {
+    let bus = Bus::start();
+    let file = bus.system.base().join("many.params");
+    fs::write(&file, (0..5_000).map(|n| format!("P{n} {n}\n")).collect::<String>()).unwrap();
+    while_turning(&bus, || {
+        let options = ["-m", "onboard", "-r", "2000", "--parameters", file.to_str().unwrap()];
+        let (_bridge, mut station) = link(&bus, &options);
+        let session = Session::connect_to(&bus.system).unwrap();
+        let mut status = uorb_core::Subscription::<MavlinkStatus>::subscribe(&session).unwrap();
+        station.send(&MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
+            target_system: 1,
+            target_component: 1,
+        }));
+        eventually("it keeps to its rate", || {
+            let _ = station.all_for(Duration::from_millis(500));
+            status.copy().is_some_and(|said| (1_000.0..2_200.0).contains(&said.tx_rate))
+        });
+        // It is not over, and the streams are there.
+        station.until(|message| matches!(message, MavMessage::PARAM_VALUE(_)).then_some(()));
+        station.until(attitude_ms);
+    });
+}
+
+#[test]
+fn a_list_of_parameters_ends_with_the_partner_who_asked_for_it() {
+    let bus = Bus::start();
+    let file = bus.system.base().join("many.params");
+    fs::write(&file, (0..5_000).map(|n| format!("P{n} {n}\n")).collect::<String>()).unwrap();
+    let options = ["--tcp-listen", "0", "-m", "custom", "--parameters", file.to_str().unwrap()];
+    let mut bridge = bridge(&bus, &options);
+    let port = port_of_next_link(&mut bridge);
+    let mut first = connect(port);
+    let list = PARAM_REQUEST_LIST_DATA { target_system: 1, target_component: 1 };
+    let list = packet(MavHeader::default(), &MavMessage::PARAM_REQUEST_LIST(list));
+    first.write_all(&list).unwrap();
+    while !matches!(read_message(&mut first).1, MavMessage::PARAM_VALUE(_)) {}
+    drop(first);
+
+    let mut second = connect(port);
+
+    for _ in 0..2 {
+        let (_, message) = read_message(&mut second);
+        assert!(matches!(message, MavMessage::HEARTBEAT(_)), "{message:?}");
+    }
 }
 
 #[test]
@@ -480,6 +585,64 @@ fn a_bridge_starts_in_the_background_says_how_it_is_and_stops() {
 }
 
 #[test]
+fn a_bridge_in_the_background_outlives_whoever_started_it() {
+    let bus = Bus::start();
+    let file = bus.system.base().join("mine.params");
+    fs::write(&file, "SYS_AUTOSTART 4001\n").unwrap();
+    let mavlink = |arguments: &[&str]| bus.spawn_heard("mavlink", arguments).end().fine();
+    mavlink(&["start", "-u", "0", "-m", "custom", "--parameters", file.to_str().unwrap()]);
+    let status = mavlink(&["status"]);
+    let address = status.split_whitespace().nth(3).and_then(|address| address.rsplit(':').next());
+    let mut station = GroundStation::of(address.unwrap().parse().unwrap());
+
+    // It complains where nobody listens any more.
+    fs::write(&file, "nonsense\n").unwrap();
+    station.send(&MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
+        target_system: 1,
+        target_component: 1,
+    }));
+
+    station.said_so_far();
+    let stopped = mavlink(&["stop"]);
+    assert!(stopped.starts_with("[mavlink] ended: pid "), "{stopped}");
+}
+
+#[test]
+fn a_bridge_that_could_not_be_shown_is_refused() {
+    let bus = Bus::start();
+    let links = [&["-u", "0", "--"][..]; 9].concat();
+    let mut ten = bridge(&bus, &[&links[..], &["-u", "0"]].concat());
+    (0..10).for_each(|_| assert_ne!(port_of_next_link(&mut ten), 0));
+
+    let mut eleventh = bus.spawn_heard("mavlink", &["start", "-u", "0"]);
+
+    eleventh.end().failed(&["ten links", "`mavlink stop`"]);
+    eventually("the ten are shown", || {
+        let status = bus.spawn_heard("mavlink", &["status"]).end();
+        status.out.matches(&format!("pid {}", ten.pid())).count() == 10
+    });
+}
+
+#[test]
+fn a_start_that_is_interrupted_leaves_no_bridge() {
+    let bus = Bus::start();
+    // Whoever reads this waits until somebody writes.
+    let file = bus.system.base().join("parameters");
+    mkfifo(&file, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
+    let options = ["start", "-u", "0", "--parameters", file.to_str().unwrap()];
+    let mut start = bus.spawn_heard("mavlink", &options);
+    let ours = [start.pid(), std::process::id()];
+    let joined = || bus.processes().into_iter().find(|pid| !ours.contains(pid));
+    eventually("the bridge has joined", || joined().is_some());
+    let bridge = joined().unwrap();
+
+    assert_eq!(start.interrupt().fine(), "");
+
+    fs::write(&file, "SYS_AUTOSTART 4001\n").unwrap();
+    eventually("the bridge has ended", || !is_running(bridge));
+}
+
+#[test]
 fn what_cannot_be_is_said_with_its_cure() {
     let bus = Bus::start();
     let mavlink = |arguments: &[&str]| bus.spawn_heard("mavlink", arguments).end();
@@ -488,7 +651,12 @@ fn what_cannot_be_is_said_with_its_cure() {
     mavlink(&["-u", &port]).failed(&[&port, "in use"]);
     mavlink(&["-u", "0", "-t", "192.0.2.1"]).failed(&["--bind 0.0.0.0"]);
     mavlink(&["-d", "/dev/no-such-device"]).failed(&["/dev/no-such-device"]);
-    mavlink(&["-u", "0", "-i", "250"]).failed(&["-i"]);
+    for vehicle in ["250", "60000", "4294967295"] {
+        mavlink(&["-u", "0", "-i", vehicle]).failed(&["0 to 249", "-i"]);
+        mavlink(&["-i", vehicle]).failed(&["0 to 249", "-i"]);
+    }
+    mavlink(&["-m", "minimal"]).failed(&["-m", "-u"]);
+    mavlink(&["-u", "0", "-t", "::1", "--bind", "127.0.0.1"]).failed(&["::1", "127.0.0.1"]);
     mavlink(&["-u", "0", "--signing-key", "/dev/null"]).failed(&["openssl rand -hex 32"]);
 }
 

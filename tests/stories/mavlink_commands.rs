@@ -6,7 +6,7 @@ use std::fs;
 use uorb_core::{Subscription, Topic, poll};
 use uorb_mavlink::dialect::*;
 use uorb_msg::{
-    CaTrajectoryMsg, GpsInjectData, ManualControlSetpoint, OffboardControlMode,
+    BatteryStatus, CaTrajectoryMsg, GpsInjectData, ManualControlSetpoint, OffboardControlMode,
     PositionSetpointTriplet, SensorAccel, SensorBaro, SensorGyro, SensorMag,
     VehicleAttitudeSetpoint, VehicleCommand, VehicleCommandAck, VehicleGpsPosition, VehicleStatus,
 };
@@ -113,6 +113,27 @@ fn a_command_that_is_sent_again_is_obeyed_once() {
 }
 
 #[test]
+fn another_command_of_the_same_number_has_an_answer_of_its_own() {
+    let mut bus = Bus::start();
+    let mut commands = bus.subscribe::<VehicleCommand>();
+    let mut ack = bus.advertise::<VehicleCommandAck>();
+    let (mut station, _bridge) = GroundStation::with_bridge(&bus, &["-m", "custom"]);
+
+    station.command(ARM, 0, 1.0, 0.0);
+    assert_eq!(next(&mut commands).param1, 1.0);
+    // Disarm, whatever speaks against it, before the first is answered.
+    station.command(ARM, 0, 0.0, 21_196.0);
+    let forced = next(&mut commands);
+    assert_eq!((forced.param1, forced.param2), (0.0, 21_196.0));
+
+    for result in [DENIED, ACCEPTED] {
+        ack.publish(&VehicleCommandAck { command: ARM, result, ..Default::default() }).unwrap();
+        assert_eq!(station.result_of(ARM), result);
+    }
+    assert_eq!(station.answers_so_far(), 0);
+}
+
+#[test]
 fn what_is_addressed_to_another_vehicle_is_not_ours() {
     let mut bus = Bus::start();
     let mut commands = bus.subscribe::<VehicleCommand>();
@@ -176,6 +197,19 @@ fn a_partner_chooses_which_messages_it_gets_and_how_often() {
     ] {
         station.command(command, 0, param1, 0.0);
         assert_eq!(station.result_of(command), result, "{command} {param1}");
+    }
+}
+
+#[test]
+fn a_battery_can_be_asked_for_again_and_again() {
+    let mut bus = Bus::start();
+    let (mut station, _bridge) = GroundStation::with_bridge(&bus, &["-m", "custom"]);
+    let mut battery = bus.advertise::<BatteryStatus>();
+    let message = BatteryStatus { connected: true.into(), remaining: 0.5, ..Default::default() };
+    battery.publish(&message).unwrap();
+    for _ in 0..2 {
+        station.command(512, 0, 147.0, 0.0);
+        assert_eq!(station.result_of(512), ACCEPTED);
     }
 }
 

@@ -24,8 +24,9 @@ pub(super) fn start(stop: &Stop, out: &mut impl Write) -> Outcome {
         let mut is_first = true;
         move |argument| !(argument == "start" && std::mem::take(&mut is_first))
     });
-    let pid = background::start::<MavlinkStatus>(&session, arguments, stop)?;
-    writeln!(out, "[mavlink] started: pid {pid}")?;
+    if let Some(pid) = background::start::<MavlinkStatus>(&session, arguments, stop)? {
+        writeln!(out, "[mavlink] started: pid {pid}")?;
+    }
     Ok(())
 }
 

@@ -8,8 +8,7 @@ use std::time::Duration;
 
 use uorb_core::zerocopy::{FromZeros, IntoBytes};
 use uorb_core::{Error, Instance, Layout, RawSubscription, Session, Topic};
-
-use crate::publications::say;
+use uorb_modules::say;
 
 /// A subscription by the names of fields.
 pub struct Followed<T: Topic> {

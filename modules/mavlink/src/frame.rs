@@ -54,7 +54,13 @@ pub enum Delivery {
     Datagrams,
     /// In a stream: the rest of a packet may come later.
     Stream,
+    /// On a line that may lose bytes: the rest of a packet comes soon, or never.
+    Line,
 }
+
+/// For so long the rest of a packet is waited for on a line: the longest packet takes
+/// 280 bytes x 10 bits / 9600 baud = 0.3 s.
+const REST_TIMEOUT_US: u64 = 1_000_000;
 
 /// Finds messages in bytes.
 pub struct Parser {
@@ -63,6 +69,9 @@ pub struct Parser {
     pending: Vec<u8>,
     /// How much of `pending` has been looked at.
     start: usize,
+    /// Which byte of all that were received begins a packet whose rest is waited for,
+    /// and since when.
+    waiting: Option<(u64, u64)>,
     /// Each sender's newest number.
     sequences: HashMap<(u32, u8), u8>,
     received: Received,
@@ -92,6 +101,7 @@ impl Parser {
             signing,
             pending: Vec::new(),
             start: 0,
+            waiting: None,
             sequences: HashMap::new(),
             received: Received::default(),
         }
@@ -110,6 +120,33 @@ impl Parser {
         self.received.bytes += bytes.len() as u64;
     }
 
+    /// A stream begins: no rest of a packet of the last one will come.
+    pub fn begin(&mut self) {
+        self.received.garbage_bytes += (self.pending.len() - self.start) as u64;
+        self.pending.clear();
+        self.start = 0;
+    }
+
+    /// Gives up a packet whose rest was waited for long enough, as its length may be what
+    /// the line has changed; another may begin within what there is of it. Called now and
+    /// then, when there is no next packet.
+    pub fn give_up(&mut self, now_us: u64) {
+        let rest_bytes = (self.pending.len() - self.start) as u64;
+        if self.delivery != Delivery::Line || rest_bytes == 0 {
+            self.waiting = None;
+            return;
+        }
+        let begins_at = self.received.bytes - rest_bytes;
+        match self.waiting {
+            Some((same, since_us)) if same == begins_at => {
+                if now_us >= since_us + REST_TIMEOUT_US {
+                    self.refuse();
+                }
+            }
+            _ => self.waiting = Some((begins_at, now_us)),
+        }
+    }
+
     /// The next message of the bytes so far.
     pub fn next_packet(&mut self) -> Option<Packet> {
         loop {
@@ -117,7 +154,7 @@ impl Parser {
             let rest = &self.pending[self.start..];
             match look(rest) {
                 Candidate::Incomplete if rest.is_empty() => return None,
-                Candidate::Incomplete if self.delivery == Delivery::Stream => return None,
+                Candidate::Incomplete if self.delivery != Delivery::Datagrams => return None,
                 Candidate::Incomplete | Candidate::None => self.refuse(),
                 Candidate::Whole(version, len) => {
                     if let Some(packet) = self.take(version, len) {
@@ -180,6 +217,8 @@ impl Parser {
             if is_unknown && next.is_none_or(|byte| is_marker(*byte)) {
                 self.start += len;
                 self.received.unknown += 1;
+                // It is unknown and not missing.
+                self.count(header);
             } else {
                 self.received.bad_checksum += u64::from(!is_unknown);
                 self.refuse();
@@ -299,6 +338,39 @@ mod tests {
     }
 
     #[test]
+    fn what_a_stream_broke_off_is_no_part_of_the_next() {
+        let mut parser = Parser::new(Delivery::Stream, None);
+        parser.push(&[0xfd, 255, 0]);
+        assert_eq!(all(&mut parser), []);
+        parser.begin();
+        parser.push(&packet(0, &heartbeat(1)));
+        assert_eq!(all(&mut parser), [heartbeat(1)]);
+        assert_eq!(parser.received().garbage_bytes, 3);
+    }
+
+    #[test]
+    fn a_line_waits_a_second_for_the_rest_of_a_packet_and_a_stream_for_ever() {
+        let bytes = [&[0xfd, 255, 0][..], &packet(0, &heartbeat(1))].concat();
+        let heard = |delivery, pieces: [&[u8]; 2], waited_us| {
+            let mut parser = Parser::new(delivery, None);
+            parser.push(pieces[0]);
+            assert_eq!(all(&mut parser), []);
+            parser.give_up(7);
+            parser.push(pieces[1]);
+            assert_eq!(all(&mut parser), []);
+            parser.give_up(7 + waited_us);
+            all(&mut parser)
+        };
+        let halves = [&bytes[..1], &bytes[1..]];
+        assert_eq!(heard(Delivery::Line, halves, REST_TIMEOUT_US), [heartbeat(1)]);
+        assert_eq!(heard(Delivery::Line, halves, REST_TIMEOUT_US - 1), []);
+        assert_eq!(heard(Delivery::Stream, halves, REST_TIMEOUT_US), []);
+        // Of what came later, the rest may still come.
+        let later = [&bytes[..1], &bytes[1..20]];
+        assert_eq!(heard(Delivery::Line, later, REST_TIMEOUT_US), []);
+    }
+
+    #[test]
     fn a_packet_is_found_behind_a_broken_one() {
         let mut broken = packet(0, &heartbeat(1));
         broken[10] ^= 1;
@@ -328,6 +400,16 @@ mod tests {
         parser.push(&[&unknown[..], &packet(1, &heartbeat(2))].concat());
         assert_eq!(all(&mut parser), [heartbeat(2)]);
         assert_eq!((parser.received().unknown, parser.received().garbage_bytes), (1, 0));
+    }
+
+    #[test]
+    fn an_unknown_message_is_not_lost() {
+        let mut unknown = packet(1, &heartbeat(1));
+        unknown[7..10].copy_from_slice(&[0x11, 0x22, 0x01]);
+        let mut parser = Parser::new(Delivery::Stream, None);
+        parser.push(&[packet(0, &heartbeat(1)), unknown, packet(2, &heartbeat(2))].concat());
+        assert_eq!(all(&mut parser), [heartbeat(1), heartbeat(2)]);
+        assert_eq!((parser.received().unknown, parser.received().lost), (1, 0));
     }
 
     #[test]

@@ -95,6 +95,11 @@ impl Incoming {
         }
     }
 
+    /// A partner may have come in another's place.
+    pub fn begin(&mut self) {
+        self.parameters.forget_list();
+    }
+
     /// Does what is due, and takes what came in on `subscriptions`. Called
     /// whenever the link wakes.
     pub fn step(&mut self, link: &mut Link, now_us: u64) {

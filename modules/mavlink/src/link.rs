@@ -73,8 +73,7 @@ pub struct Link {
 /// What `mavlink_status` is made of.
 #[derive(Debug)]
 struct StatusReport {
-    /// None where all instances are taken.
-    publication: Option<Publication<MavlinkStatus>>,
+    publication: Publication<MavlinkStatus>,
     last_us: u64,
     received: Received,
     transmitted: Transmitted,
@@ -85,21 +84,16 @@ impl Link {
     ///
     /// # Errors
     ///
-    /// [`Error::NoBroker`].
+    /// [`Error::Refused`] where as many links are shown as a topic has instances: nobody
+    /// would find this one, or end it. [`Error::NoBroker`].
     pub fn new(
         session: &Session,
         transport: Box<dyn Transport>,
         signing: Option<Arc<SigningData>>,
         settings: Settings,
     ) -> Result<Self, Error> {
-        let publication = match Publication::advertise_multi(session, Priority::DEFAULT) {
-            Ok(publication) => Some(publication),
-            // More links than instances: this one is not shown.
-            Err(Error::Refused(_)) => None,
-            Err(error) => return Err(error),
-        };
         let status = StatusReport {
-            publication,
+            publication: Publication::advertise_multi(session, Priority::DEFAULT)?,
             last_us: 0,
             received: Received::default(),
             transmitted: Transmitted::default(),
@@ -117,6 +111,11 @@ impl Link {
             heard_us: 0,
             status,
         })
+    }
+
+    /// How many bytes a second may go out.
+    pub fn data_rate(&self) -> u32 {
+        self.settings.data_rate
     }
 
     /// In words: where it is, and who its partner is.
@@ -141,10 +140,18 @@ impl Link {
                 return Err(Error::Ended { path: self.session.system().dir() });
             }
             for _ in 0..RECEIVES_A_TURN_MAX {
-                let Some(len) = self.port.transport.receive(&mut buffer) else { break };
-                self.take(&buffer[..len], &mut incoming);
+                let received = self.port.transport.receive(&mut buffer);
+                if self.port.transport.has_begun() {
+                    self.parser.begin();
+                    incoming.begin();
+                }
+                let Some(len) = received else { break };
+                self.parser.push(&buffer[..len]);
+                self.take_packets(&mut incoming);
             }
             let now_us = now_us();
+            self.parser.give_up(now_us);
+            self.take_packets(&mut incoming);
             self.streams.step(now_us, &mut self.port);
             incoming.step(&mut self, now_us);
             if now_us >= self.status.last_us + STATUS_EVERY_US {
@@ -155,8 +162,7 @@ impl Link {
         Ok(())
     }
 
-    fn take(&mut self, bytes: &[u8], incoming: &mut Incoming) {
-        self.parser.push(bytes);
+    fn take_packets(&mut self, incoming: &mut Incoming) {
         while let Some(packet) = self.parser.next_packet() {
             let ours = (u32::from(self.port.system_id()), self.port.component_id());
             // Our own words, come back on a loop.
@@ -195,7 +201,7 @@ impl Link {
         let (received, transmitted) = (*self.parser.received(), *self.port.transmitted());
         let before = std::mem::replace(&mut self.status.last_us, now_us);
         let elapsed_us = now_us - before;
-        self.streams.fit(elapsed_us, transmitted.dropped);
+        self.streams.fit(elapsed_us, transmitted);
 
         let last_received = std::mem::replace(&mut self.status.received, received);
         let last_transmitted = std::mem::replace(&mut self.status.transmitted, transmitted);
@@ -224,10 +230,8 @@ impl Link {
         let words = self.describe();
         let len = words.len().min(status.link.len() - 1);
         status.link[..len].copy_from_slice(&words.as_bytes()[..len]);
-        if let Some(publication) = &mut self.status.publication {
-            // A system that has ended ends the link in its next turn.
-            let _ = publication.publish(&status);
-        }
+        // A system that has ended ends the link in its next turn.
+        let _ = self.status.publication.publish(&status);
     }
 }
 

@@ -13,7 +13,8 @@ use std::sync::Arc;
 use std::thread;
 
 use clap::Parser;
-use uorb_core::Session;
+use uorb_core::Error::Refused;
+use uorb_core::{Refusal, Session};
 use uorb_mavlink::incoming::Incoming;
 use uorb_mavlink::link::{Link, Settings};
 use uorb_mavlink::parameter_file::{ParameterFile, ParameterFileError};
@@ -93,7 +94,7 @@ fn bridge(links: Vec<LinkOptions>, stop: &Stop, out: &mut impl Write) -> Outcome
     let session = Session::connect()?;
     let system = session.system().number();
     let links = match &links[..] {
-        [alone] if alone.has_no_way() => alone.pair(alone.vehicle(system)),
+        [alone] if alone.has_no_way() => alone.pair(alone.system_id(system)?)?,
         _ => links,
     };
     let mut opened = Vec::new();
@@ -133,7 +134,7 @@ fn parameter_file(
 fn open(session: &Session, number: usize, options: &LinkOptions) -> Result<Link, Box<dyn Error>> {
     let settings = Settings {
         system_id: options.system_id(session.system().number())?,
-        mode: options.mode,
+        mode: options.mode(),
         data_rate: options.data_rate(),
     };
     let address = options.address()?;
@@ -147,5 +148,10 @@ fn open(session: &Session, number: usize, options: &LinkOptions) -> Result<Link,
     })?;
     let signing = options.signing_key.as_deref().map(|path| signing(path, number as u8));
     let signing = signing.transpose()?.map(Arc::new);
-    Ok(Link::new(session, transport, signing, settings)?)
+    Link::new(session, transport, signing, settings).map_err(|error| match error {
+        Refused(Refusal::InstancesTaken { .. }) => {
+            "a system has ten links at most: use fewer, or end others with `mavlink stop`".into()
+        }
+        error => error.into(),
+    })
 }

@@ -4,13 +4,14 @@
 //! it is PX4 SITL's pair: one for a ground station and one for programs.
 
 use std::ffi::OsString;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 
 use clap::{ArgGroup, Args};
 
 use uorb_mavlink::outgoing::Mode;
 use uorb_mavlink::transport::Address;
+use uorb_modules::system_id;
 
 /// The ports of PX4's simulated vehicle 0: ours, and where the partner listens.
 const GROUND_STATION: (u16, u16) = (18570, 14550);
@@ -21,9 +22,6 @@ const DEFAULT_PORTS: (u16, u16) = (14556, 14550);
 
 /// What PX4 gives a simulated vehicle's links: as good as no limit.
 const NETWORK_DATA_RATE: u32 = 4_000_000;
-
-/// The most vehicles that MAVLink can number; 255 are ground stations.
-const VEHICLES_MAX: u32 = 250;
 
 /// A link.
 #[derive(Clone, Debug, Args)]
@@ -42,7 +40,7 @@ pub(crate) struct LinkOptions {
     partner: Option<IpAddr>,
 
     /// Address to be at: 0.0.0.0 lets other machines speak to the vehicle
-    /// [default: 127.0.0.1]
+    /// [default: 127.0.0.1, or ::1 where the partner's is one of IPv6]
     #[arg(long, value_name = "IP", conflicts_with_all = ["device", "tcp"])]
     bind: Option<IpAddr>,
 
@@ -62,9 +60,9 @@ pub(crate) struct LinkOptions {
     #[arg(long, value_name = "PORT")]
     tcp_listen: Option<u16>,
 
-    /// What goes out
-    #[arg(short = 'm', value_enum, default_value = "normal")]
-    pub(crate) mode: Mode,
+    /// What goes out [default: normal]
+    #[arg(short = 'm', value_enum)]
+    mode: Option<Mode>,
 
     /// How many bytes a second may go out [default: half of what a serial
     /// device takes, 4000000 elsewhere]
@@ -101,31 +99,30 @@ impl LinkOptions {
             && tcp_listen.is_none()
     }
 
-    /// PX4 SITL's pair of links for this vehicle.
-    pub(crate) fn pair(&self, vehicle: u32) -> Vec<Self> {
-        let offset = vehicle as u16;
+    /// PX4 SITL's pair of links for the vehicle of this number in MAVLink.
+    pub(crate) fn pair(&self, system_id: u8) -> Result<Vec<Self>, String> {
+        if self.mode.is_some() {
+            return Err("-m is for one link: say which, as with -u 14556".into());
+        }
+        let offset = u16::from(system_id) - 1;
         let link = |(port, remote_port): (u16, u16), remote_offset, mode| Self {
             port: Some(port + offset),
             remote_port: Some(remote_port + remote_offset),
-            mode,
+            mode: Some(mode),
             ..self.clone()
         };
         // All vehicles speak to the one ground station.
-        vec![link(GROUND_STATION, 0, Mode::Normal), link(PROGRAMS, offset, Mode::Onboard)]
+        Ok(vec![link(GROUND_STATION, 0, Mode::Normal), link(PROGRAMS, offset, Mode::Onboard)])
     }
 
     /// Our number in MAVLink.
     pub(crate) fn system_id(&self, system: u32) -> Result<u8, String> {
-        let vehicle = self.vehicle(system);
-        match u8::try_from(vehicle + 1) {
-            Ok(system_id) if vehicle < VEHICLES_MAX => Ok(system_id),
-            _ => Err(format!("vehicle {vehicle}: MAVLink numbers 0 to 249; say another with -i")),
-        }
+        system_id(self.vehicle.unwrap_or(system))
     }
 
-    /// The vehicle's number.
-    pub(crate) fn vehicle(&self, system: u32) -> u32 {
-        self.vehicle.unwrap_or(system)
+    /// What goes out.
+    pub(crate) fn mode(&self) -> Mode {
+        self.mode.unwrap_or(Mode::Normal)
     }
 
     /// How many bytes a second may go out.
@@ -144,7 +141,9 @@ impl LinkOptions {
 
     /// Where the link goes.
     pub(crate) fn address(&self) -> Result<Address, String> {
-        let bind = self.bind.unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST));
+        // Both are of one family: what is not said is what is said of the other.
+        let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
+        let bind = self.bind.unwrap_or(self.partner.map_or(here, loopback));
         if let Some(device) = &self.device {
             return Ok(Address::Serial { device: device.clone(), baud: self.baud() });
         }
@@ -156,10 +155,16 @@ impl LinkOptions {
             let first = found.into_iter().next();
             return first.map(Address::TcpConnect).ok_or_else(|| format!("{partner}: no address"));
         }
-        let partner = self.partner.unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST));
-        if bind.is_loopback() && !partner.is_loopback() {
+        let partner = self.partner.unwrap_or(loopback(bind));
+        if bind.is_ipv4() != partner.is_ipv4() {
             return Err(format!(
-                "{partner} cannot be reached from {bind}: add --bind 0.0.0.0, \
+                "{partner} cannot be reached from {bind}: say two of IPv4, or two of IPv6"
+            ));
+        }
+        if bind.is_loopback() && !partner.is_loopback() {
+            let any = if partner.is_ipv4() { "0.0.0.0" } else { "::" };
+            return Err(format!(
+                "{partner} cannot be reached from {bind}: add --bind {any}, \
                  and other machines can speak to the vehicle"
             ));
         }
@@ -168,6 +173,14 @@ impl LinkOptions {
             local: SocketAddr::new(bind, self.port.unwrap_or(port)),
             remote: SocketAddr::new(partner, self.remote_port.unwrap_or(remote_port)),
         })
+    }
+}
+
+/// This machine, to itself, in the family of an address.
+fn loopback(of: IpAddr) -> IpAddr {
+    match of {
+        IpAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
+        IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
     }
 }
 
@@ -205,13 +218,13 @@ mod tests {
 
     #[test]
     fn without_words_it_is_the_pair_of_links_of_a_simulated_vehicle() {
-        let pair = link("").pair(0);
+        let pair = link("").pair(1).unwrap();
         let addresses: Vec<_> = pair.iter().map(|link| link.address().unwrap()).collect();
         let station = udp("127.0.0.1:18570", "127.0.0.1:14550");
         assert_eq!(addresses, [station, udp("127.0.0.1:14580", "127.0.0.1:14540")]);
-        assert_eq!((pair[0].mode, pair[1].mode), (Mode::Normal, Mode::Onboard));
+        assert_eq!((pair[0].mode(), pair[1].mode()), (Mode::Normal, Mode::Onboard));
 
-        let third = link("").pair(2);
+        let third = link("").pair(3).unwrap();
         let addresses: Vec<_> = third.iter().map(|link| link.address().unwrap()).collect();
         let station = udp("127.0.0.1:18572", "127.0.0.1:14550");
         assert_eq!(addresses, [station, udp("127.0.0.1:14582", "127.0.0.1:14542")]);
@@ -221,7 +234,7 @@ mod tests {
     fn px4_s_words_mean_what_they_mean_there() {
         let one = link("-u 14556 -o 14557 -t 10.0.0.7 --bind 0.0.0.0 -m onboard -r 20000");
         assert_eq!(one.address().unwrap(), udp("0.0.0.0:14556", "10.0.0.7:14557"));
-        assert_eq!((one.mode, one.data_rate()), (Mode::Onboard, 20_000));
+        assert_eq!((one.mode(), one.data_rate()), (Mode::Onboard, 20_000));
         assert!(!one.has_no_way() && link("-m onboard -i 3").has_no_way());
 
         let serial = link("-d /dev/ttyS1 -b 115200");
@@ -235,6 +248,8 @@ mod tests {
     fn nothing_listens_beyond_this_machine_unless_told() {
         let words = link("-u 1 -t 192.168.1.5").address().unwrap_err();
         assert!(words.contains("--bind 0.0.0.0"), "{words}");
+        let words = link("-u 1 -t fd00::1").address().unwrap_err();
+        assert!(words.contains("--bind ::,"), "{words}");
         let Address::TcpListen(local) = link("--tcp-listen 5760").address().unwrap() else {
             panic!("it listens")
         };
@@ -242,10 +257,26 @@ mod tests {
     }
 
     #[test]
+    fn a_link_is_at_an_address_of_its_partner_s_family() {
+        let address = |line| link(line).address();
+        assert_eq!(address("-u 1 -o 2 -t ::1"), Ok(udp("[::1]:1", "[::1]:2")));
+        assert_eq!(address("-u 1 -o 2 --bind ::"), Ok(udp("[::]:1", "[::1]:2")));
+        let words = address("-u 1 -t fd00::1 --bind 0.0.0.0").unwrap_err();
+        assert!(words.contains("0.0.0.0") && words.contains("fd00::1"), "{words}");
+    }
+
+    #[test]
     fn vehicles_are_numbered_from_1_in_mavlink() {
         assert_eq!(link("").system_id(0), Ok(1));
         assert_eq!(link("-i 249").system_id(0), Ok(250));
         assert!(link("").system_id(250).is_err());
+        assert!(link("-i 4294967295").system_id(0).is_err());
+    }
+
+    #[test]
+    fn a_mode_is_that_of_a_link_and_not_of_the_pair() {
+        let words = link("-m minimal").pair(1).unwrap_err();
+        assert!(words.contains("-m") && words.contains("-u"), "{words}");
     }
 
     #[test]

@@ -30,7 +30,7 @@ pub use self::modes::custom_mode;
 use self::source::Source;
 pub use self::table::{Mode, Rate, STREAMS, StreamDefinition};
 use crate::ours;
-use crate::port::Port;
+use crate::port::{Port, Transmitted};
 
 /// The least part of their rates that streams keep, however slow the link is.
 const MULTIPLIER_MIN: f64 = 0.05;
@@ -50,7 +50,8 @@ pub struct Streams {
     room: f64,
     /// By what rates are multiplied.
     multiplier: f64,
-    dropped: u64,
+    /// What the link had sent when rates were looked at last.
+    transmitted: Transmitted,
 }
 
 struct Stream {
@@ -62,9 +63,9 @@ struct Stream {
     /// By the clock: when it is due.
     due_us: u64,
     /// What one turn has sent lately.
-    size_bytes: usize,
+    size_bytes: u64,
     /// What was sent since rates were looked at last.
-    sent_bytes: usize,
+    sent_bytes: u64,
 }
 
 impl fmt::Debug for Streams {
@@ -89,7 +90,14 @@ impl Streams {
             }
         });
         let all = all.collect();
-        Self { session: session.clone(), all, data_rate, room: 1.0, multiplier: 1.0, dropped: 0 }
+        Self {
+            session: session.clone(),
+            all,
+            data_rate,
+            room: 1.0,
+            multiplier: 1.0,
+            transmitted: Transmitted::default(),
+        }
     }
 
     fn find(&mut self, message_id: u32) -> Option<&mut Stream> {
@@ -153,9 +161,13 @@ impl Streams {
     }
 
     /// Once a second: fits rates to what the link can carry.
-    pub(crate) fn fit(&mut self, elapsed_us: u64, dropped: u64) {
+    pub(crate) fn fit(&mut self, elapsed_us: u64, transmitted: Transmitted) {
         let seconds = (elapsed_us as f64 / 1e6).max(1e-3);
-        let (mut fixed, mut scaled) = (0.0, 0.0);
+        let before = std::mem::replace(&mut self.transmitted, transmitted);
+        // Answers and parameters are what no stream has sent.
+        let streamed: u64 = self.all.iter().map(|stream| stream.sent_bytes).sum();
+        let mut fixed = (transmitted.bytes - before.bytes - streamed) as f64 / seconds;
+        let mut scaled = 0.0;
         for stream in &mut self.all {
             let sent = std::mem::take(&mut stream.sent_bytes) as f64 / seconds;
             match stream.rate {
@@ -167,7 +179,7 @@ impl Streams {
                 Rate::Off => {}
             }
         }
-        self.room = match dropped > std::mem::replace(&mut self.dropped, dropped) {
+        self.room = match transmitted.dropped > before.dropped {
             true => self.room / 2.0,
             false => self.room * RECOVERY,
         };
@@ -230,11 +242,14 @@ impl Stream {
         }
     }
 
-    fn send(&mut self, port: &mut Port) -> usize {
-        let mut sent_bytes = 0;
+    fn send(&mut self, port: &mut Port) -> u64 {
+        let before = port.transmitted().bytes;
         if let Some(source) = &mut self.source {
-            source.compose(&mut |message| sent_bytes += port.send(&message));
+            source.compose(&mut |message| {
+                port.send(&message);
+            });
         }
+        let sent_bytes = port.transmitted().bytes - before;
         if sent_bytes > 0 {
             self.size_bytes = sent_bytes;
             self.sent_bytes += sent_bytes;

@@ -63,9 +63,8 @@ impl Port {
         &self.transmitted
     }
 
-    /// Sends a message to the partner. Returns how many bytes that were; 0 if
-    /// it was dropped or nobody is there.
-    pub fn send(&mut self, message: &MavMessage) -> usize {
+    /// Sends a message to the partner. What has gone out is in [`Port::transmitted`].
+    pub fn send(&mut self, message: &MavMessage) -> Sent {
         let mut raw = MAVLinkV2MessageRaw::new();
         match &self.signing {
             Some(signing) => {
@@ -75,20 +74,20 @@ impl Port {
             None => raw.serialize_message(self.header, message),
         }
         let packet = raw.raw_bytes();
-        match self.transport.send(packet) {
+        let sent = self.transport.send(packet);
+        match sent {
             Sent::Whole => {
                 self.transmitted.messages += 1;
                 self.transmitted.bytes += packet.len() as u64;
                 self.header.sequence = self.header.sequence.wrapping_add(1);
-                packet.len()
             }
             // The partner is to see in the numbers that one is missing.
             Sent::Dropped => {
                 self.transmitted.dropped += 1;
                 self.header.sequence = self.header.sequence.wrapping_add(1);
-                0
             }
-            Sent::Nobody => 0,
+            Sent::Nobody => {}
         }
+        sent
     }
 }

@@ -4,6 +4,7 @@ use std::any::{Any, TypeId};
 use std::collections::HashMap;
 
 use uorb_core::{Error, Priority, Publication, Session, Topic};
+use uorb_modules::say;
 
 /// The publications of a link.
 #[derive(Debug)]
@@ -47,9 +48,4 @@ impl Publications {
             let _ = publication.publish(message);
         }
     }
-}
-
-/// Says why something is left out.
-pub(crate) fn say(error: &Error) {
-    eprintln!("mavlink: {error}");
 }

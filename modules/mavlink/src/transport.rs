@@ -75,6 +75,12 @@ pub trait Transport: Send {
     /// what is left to do: sends what waits, connects again.
     fn receive(&mut self, buffer: &mut [u8]) -> Option<usize>;
 
+    /// Whether a stream of bytes has begun since this was asked last, as when another
+    /// partner has connected. What was received last belongs to it.
+    fn has_begun(&mut self) -> bool {
+        false
+    }
+
     /// Sends a packet, or none of it.
     fn send(&mut self, packet: &[u8]) -> Sent;
 

@@ -8,6 +8,7 @@ use uorb_core::broker_side::{Node, Role};
 use uorb_core::{
     AdvertiseOptions, Claim, Instance, RawPublication, RawSubscription, Session, now_us,
 };
+use uorb_modules::say;
 
 use crate::clock::Clock;
 use crate::communicator::{Added, Communicator, lock};
@@ -305,7 +306,7 @@ impl Import {
     /// Says so, the first time.
     fn refuse(&mut self, remote: &Remote, why: &str) {
         if self.refused.as_deref() != Some(why) {
-            eprintln!("reach: {remote} is refused: {why}");
+            say(&format_args!("{remote} is refused: {why}"));
             self.refused = Some(why.to_string());
         }
     }

@@ -33,7 +33,7 @@ use anyhow::{Context, anyhow, bail};
 use clap::Parser;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 use uorb_core::{Error, Instance, Session, Topic, now_us};
-use uorb_modules::{Stop, run};
+use uorb_modules::{Stop, run, say};
 use uorb_msg::ReachStatus;
 
 use communicator::Communicator;
@@ -181,7 +181,7 @@ fn connect(
             return Ok(None);
         }
         if !has_said && now_us() > begun_us + SAY_AFTER_US {
-            eprintln!("reach: nobody lets {place} in yet; it goes on trying");
+            say(&format_args!("nobody lets {place} in yet; it goes on trying"));
             has_said = true;
         }
     }

@@ -15,6 +15,7 @@ use std::thread::{JoinHandle, sleep};
 use std::time::Duration;
 
 use uorb_core::{Error, QueueLength, RawSubscription, Session, StreamOptions, now_us, poll};
+use uorb_modules::say;
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 
@@ -177,7 +178,7 @@ impl Leaving {
     fn refuse(&mut self, source: Source, why: &str) {
         let before = self.refused.insert(source.clone(), why.to_string());
         if before.as_deref() != Some(why) {
-            eprintln!("reach: {source} cannot be sent: {why}; it is tried again");
+            say(&format_args!("{source} cannot be sent: {why}; it is tried again"));
         }
     }
 

@@ -6,9 +6,10 @@
 //! `vehicle_command_ack` with their number. As long as nobody advertises that,
 //! nobody would answer: the command is unsupported.
 //!
-//! A command that comes again while it waits is the same command. One that comes
-//! again after its answer, and says so (`confirmation`), had its answer lost: the
-//! answer goes out again, and nobody obeys twice.
+//! A command that comes again while it waits, and says so (`confirmation`) or has the
+//! same parameters, is the same command; with others it is another, that has an answer
+//! of its own. One that comes again after its answer, and says so, had its answer lost:
+//! the answer goes out again, and nobody obeys twice.
 
 use std::collections::VecDeque;
 
@@ -63,9 +64,13 @@ struct Question {
     component_id: u8,
 }
 
+/// All seven, as bits: what is not a number is equal to itself, too.
+type Parameters = [u64; 7];
+
 #[derive(Clone, Copy, Debug)]
 struct Pending {
     question: Question,
+    parameters: Parameters,
     due_us: u64,
 }
 
@@ -96,8 +101,17 @@ enum Step {
 }
 
 impl Ledger {
-    fn look(&mut self, question: Question, confirmation: u8, now_us: u64) -> Step {
-        if self.pending.iter().any(|pending| pending.question == question) {
+    fn look(
+        &mut self,
+        question: Question,
+        parameters: Parameters,
+        confirmation: u8,
+        now_us: u64,
+    ) -> Step {
+        let is_same = |pending: &Pending| {
+            pending.question == question && (confirmation > 0 || pending.parameters == parameters)
+        };
+        if self.pending.iter().any(is_same) {
             return Step::Wait;
         }
         self.answered.retain(|answered| now_us < answered.until_us);
@@ -109,8 +123,8 @@ impl Ledger {
         }
     }
 
-    fn wait(&mut self, question: Question, now_us: u64) {
-        self.pending.push(Pending { question, due_us: now_us + TIMEOUT_US });
+    fn wait(&mut self, question: Question, parameters: Parameters, now_us: u64) {
+        self.pending.push(Pending { question, parameters, due_us: now_us + TIMEOUT_US });
     }
 
     /// Whose question that answers: answers come in the order of the questions.
@@ -169,14 +183,15 @@ impl Commands {
     fn relay(&mut self, link: &mut Link, question: Question, command: &VehicleCommand) {
         // What was answered before this was asked is no answer to it.
         self.step(link, now_us());
-        match self.ledger.look(question, command.confirmation, now_us()) {
+        let parameters = parameters(command);
+        match self.ledger.look(question, parameters, command.confirmation, now_us()) {
             Step::Wait => {}
             Step::Answer(result) => answer(link, question, result),
             Step::Ask => {
                 let somebody_answers = self.acks.raw().is_some_and(|raw| raw.advertised());
                 link.publications.publish::<VehicleCommand>(command);
                 match somebody_answers {
-                    true => self.ledger.wait(question, now_us()),
+                    true => self.ledger.wait(question, parameters, now_us()),
                     false => answer(link, question, UNSUPPORTED),
                 }
             }
@@ -210,6 +225,13 @@ fn question(command: &VehicleCommand) -> Option<Question> {
         system_id: u8::try_from(command.source_system).ok()?,
         component_id: u8::try_from(command.source_component).ok()?,
     })
+}
+
+fn parameters(command: &VehicleCommand) -> Parameters {
+    let VehicleCommand { param1, param2, param3, param4, param5, param6, param7, .. } = *command;
+    let [param1, param2, param3, param4, param7] =
+        [param1, param2, param3, param4, param7].map(f64::from);
+    [param1, param2, param3, param4, param5, param6, param7].map(f64::to_bits)
 }
 
 fn answer(link: &mut Link, question: Question, result: u8) {
@@ -372,29 +394,44 @@ mod tests {
 
     const FROM: MavHeader = MavHeader { system_id: 255, component_id: 190, sequence: 0 };
     const ARM: Question = Question { command: 400, system_id: 255, component_id: 190 };
+    const OFF: Parameters = [0; 7];
+    const ON: Parameters = [1, 0, 0, 0, 0, 0, 0];
 
     #[test]
     fn a_question_has_one_answer_however_often_it_is_asked() {
         let mut ledger = Ledger::default();
-        assert_eq!(ledger.look(ARM, 0, 0), Step::Ask);
-        ledger.wait(ARM, 0);
-        assert_eq!(ledger.look(ARM, 1, 500_000), Step::Wait);
+        assert_eq!(ledger.look(ARM, ON, 0, 0), Step::Ask);
+        ledger.wait(ARM, ON, 0);
+        assert_eq!(ledger.look(ARM, ON, 0, 400_000), Step::Wait);
+        assert_eq!(ledger.look(ARM, OFF, 1, 500_000), Step::Wait, "it says that it was asked");
         assert_eq!(ledger.settle(400, ACCEPTED, 600_000), Some(ARM));
         assert_eq!(ledger.settle(400, ACCEPTED, 600_001), None, "of somebody else's question");
 
         // The answer was lost: the same again, and nobody obeys twice.
-        assert_eq!(ledger.look(ARM, 2, 700_000), Step::Answer(ACCEPTED));
+        assert_eq!(ledger.look(ARM, ON, 2, 700_000), Step::Answer(ACCEPTED));
         // It is asked anew.
-        assert_eq!(ledger.look(ARM, 0, 800_000), Step::Ask);
-        assert_eq!(ledger.look(ARM, 1, 600_000 + REMEMBERED_US), Step::Ask, "long ago");
+        assert_eq!(ledger.look(ARM, ON, 0, 800_000), Step::Ask);
+        assert_eq!(ledger.look(ARM, ON, 1, 600_000 + REMEMBERED_US), Step::Ask, "long ago");
+    }
+
+    #[test]
+    fn another_question_of_the_same_number_waits_behind_the_first() {
+        let mut ledger = Ledger::default();
+        ledger.wait(ARM, ON, 0);
+        assert_eq!(ledger.look(ARM, OFF, 0, 1), Step::Ask);
+        ledger.wait(ARM, OFF, 1);
+        assert_eq!(ledger.settle(400, DENIED, 2), Some(ARM));
+        assert_eq!(ledger.look(ARM, OFF, 0, 3), Step::Wait);
+        assert_eq!(ledger.settle(400, ACCEPTED, 4), Some(ARM));
+        assert_eq!(ledger.look(ARM, OFF, 1, 5), Step::Answer(ACCEPTED));
     }
 
     #[test]
     fn answers_go_to_whoever_asked_first() {
         let other = Question { system_id: 254, ..ARM };
         let mut ledger = Ledger::default();
-        ledger.wait(ARM, 0);
-        ledger.wait(other, 1);
+        ledger.wait(ARM, ON, 0);
+        ledger.wait(other, ON, 1);
         assert_eq!(ledger.settle(176, DENIED, 2), None, "another command");
         assert_eq!(ledger.settle(400, DENIED, 2), Some(ARM));
         assert_eq!(ledger.settle(400, DENIED, 3), Some(other));
@@ -403,7 +440,7 @@ mod tests {
     #[test]
     fn what_is_in_progress_goes_on_waiting_and_silence_fails() {
         let mut ledger = Ledger::default();
-        ledger.wait(ARM, 0);
+        ledger.wait(ARM, ON, 0);
         assert_eq!(ledger.expire(TIMEOUT_US - 1), None);
         assert_eq!(ledger.settle(400, IN_PROGRESS, TIMEOUT_US - 1), Some(ARM));
         assert_eq!(ledger.expire(TIMEOUT_US), None);
@@ -415,8 +452,8 @@ mod tests {
     fn a_flood_of_questions_waits_for_the_first_ones() {
         let mut ledger = Ledger::default();
         let questions = (0..PENDING_MAX as u16).map(|command| Question { command, ..ARM });
-        questions.for_each(|question| ledger.wait(question, 0));
-        assert_eq!(ledger.look(ARM, 0, 0), Step::Answer(TEMPORARILY_REJECTED));
+        questions.for_each(|question| ledger.wait(question, ON, 0));
+        assert_eq!(ledger.look(ARM, ON, 0, 0), Step::Answer(TEMPORARILY_REJECTED));
         (0..1_000).for_each(|command| ledger.remember(Question { command, ..ARM }, DENIED, 0));
         assert_eq!(ledger.answered.len(), ANSWERED_MAX);
     }
@@ -448,6 +485,9 @@ mod tests {
         assert_eq!((command.target_system, command.target_component), (1, 1));
         assert_eq!((command.param1, command.param7), (1.0, 7.0));
         assert_eq!(question(&command), Some(ARM));
+        let same = |one, other| parameters(one) == parameters(other);
+        let unknown = VehicleCommand { param5: f64::NAN, ..command };
+        assert!(same(&unknown, &unknown) && !same(&unknown, &command));
     }
 
     #[test]

@@ -7,6 +7,7 @@
 use std::collections::VecDeque;
 
 use uorb_core::now_us;
+use uorb_modules::say;
 use uorb_ulog::{Parameter, ParameterValue};
 
 use crate::dialect::{
@@ -14,13 +15,17 @@ use crate::dialect::{
 };
 use crate::link::Link;
 use crate::parameter_file::ParameterFile;
+use crate::transport::Sent;
 
 /// Values of MAV_PARAM_TYPE.
 const INT32: u8 = 6;
 const REAL32: u8 = 9;
 
-/// Between two values of a list: 300 a second leave room for other messages.
-const PACE_US: u64 = 3_300;
+/// Between two values of a list at least: nobody needs more than 300 a second.
+const PACE_MIN_US: u64 = 3_300;
+
+/// How much later the same value is tried again that there was no room for.
+const RETRY_US: u64 = 33_000;
 
 /// Value of MAV_SEVERITY.
 const ERROR: u8 = 3;
@@ -68,7 +73,7 @@ impl Parameters {
         match decode(all[index].value, message.param_type, message.param_value) {
             Some(value) => {
                 if let Err(error) = self.file.set(name, value) {
-                    eprintln!("mavlink: {error}");
+                    say(&error);
                     complain(link, &format!("cannot save {name}"));
                 }
             }
@@ -83,15 +88,26 @@ impl Parameters {
     /// Sends what is due of a list.
     pub(super) fn step(&mut self, link: &mut Link, now_us: u64) {
         while now_us >= self.due_us {
-            let Some(value) = self.list.pop_front() else { break };
-            if link.port.send(&MavMessage::PARAM_VALUE(value.clone())) == 0 {
-                // There is no room: the same one, a while later.
-                self.list.push_front(value);
-                self.due_us = now_us + 10 * PACE_US;
-                break;
+            let Some(value) = self.list.front() else { break };
+            let before = link.port.transmitted().bytes;
+            match link.port.send(&MavMessage::PARAM_VALUE(value.clone())) {
+                Sent::Whole => {
+                    let sent_bytes = link.port.transmitted().bytes - before;
+                    self.list.pop_front();
+                    self.due_us += pace_us(sent_bytes, link.data_rate());
+                }
+                Sent::Dropped => {
+                    self.due_us = now_us + RETRY_US;
+                    break;
+                }
+                Sent::Nobody => self.forget_list(),
             }
-            self.due_us += PACE_US;
         }
+    }
+
+    /// Whoever comes now has not asked for it.
+    pub(super) fn forget_list(&mut self) {
+        self.list.clear();
     }
 
     pub(super) fn due_us(&self) -> u64 {
@@ -99,13 +115,19 @@ impl Parameters {
     }
 
     fn read(&self) -> Vec<Parameter> {
-        let all = self.file.read().inspect_err(|error| eprintln!("mavlink: {error}"));
+        let all = self.file.read().inspect_err(|error| say(error));
         let mut all = all.unwrap_or_default();
         // MAVLink has no room for longer ones, nor for more of them.
         all.retain(|parameter| parameter.name.len() <= 16);
         all.truncate(u16::MAX.into());
         all
     }
+}
+
+/// How long after a value of so many bytes the next one follows: half of the link is
+/// left for all else.
+fn pace_us(sent_bytes: u64, data_rate: u32) -> u64 {
+    (sent_bytes * 2_000_000 / u64::from(data_rate)).max(PACE_MIN_US)
 }
 
 fn position(all: &[Parameter], name: &str) -> Option<usize> {
@@ -177,6 +199,13 @@ mod tests {
         assert_eq!(decode(Float(1.0), INT32, 2.0), None);
         assert_eq!(decode(Float(1.0), REAL32, f32::NAN), None);
         assert_eq!(decode(Int32(1), 1, 2.0), None);
+    }
+
+    #[test]
+    fn a_list_takes_half_of_a_slow_link() {
+        assert_eq!(pace_us(37, 4_000_000), PACE_MIN_US);
+        // 50 a second are 1,000 bytes a second.
+        assert_eq!(pace_us(20, 2_000), 20_000);
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! Each says which of its parts it leaves open: that is `offboard_control_mode`.
 //! The rest is a setpoint, on the topics of PX4's controllers.
 
+use uorb_modules::rotation;
 use uorb_msg::{
     OffboardControlMode, PositionSetpoint, PositionSetpointTriplet, VehicleAttitudeSetpoint,
     VehicleRatesSetpoint,
@@ -120,7 +121,7 @@ pub fn attitude_target(message: &SET_ATTITUDE_TARGET_DATA, now_us: u64) -> Attit
         ..Default::default()
     };
     let attitude = has(IGNORE_ATTITUDE).then(|| {
-        let [roll_body, pitch_body, yaw_body] = euler(message.q);
+        let [roll_body, pitch_body, yaw_body] = rotation::euler(message.q);
         VehicleAttitudeSetpoint {
             timestamp: now_us,
             roll_body,
@@ -141,15 +142,6 @@ pub fn attitude_target(message: &SET_ATTITUDE_TARGET_DATA, now_us: u64) -> Attit
         thrust,
     });
     AttitudeTarget { mode, attitude, rates }
-}
-
-/// Angles about the axes that point forward, right and down.
-fn euler([w, x, y, z]: [f32; 4]) -> [f32; 3] {
-    [
-        (2.0 * (w * x + y * z)).atan2(1.0 - 2.0 * (x * x + y * y)),
-        (2.0 * (w * y - z * x)).clamp(-1.0, 1.0).asin(),
-        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z)),
-    ]
 }
 
 #[cfg(test)]

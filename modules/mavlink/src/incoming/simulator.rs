@@ -151,7 +151,10 @@ pub fn hil_gps(message: &HIL_GPS_DATA, now_us: u64) -> VehicleGpsPosition {
     fn metres(cm: u16) -> f32 {
         if cm == u16::MAX { f32::NAN } else { f32::from(cm) * 1e-2 }
     }
-    let course = f32::from(message.cog % 36_000) * 1e-2 / 360.0 * TAU;
+    let course = match message.cog {
+        u16::MAX => f32::NAN,
+        cog => f32::from(cog % 36_000) * 1e-2 / 360.0 * TAU,
+    };
     VehicleGpsPosition {
         timestamp: now_us,
         lat: message.lat,
@@ -237,5 +240,7 @@ mod tests {
         assert!((gps.eph - 0.9).abs() < 1e-6 && gps.epv.is_nan());
         assert!((gps.vel_m_s - 5.0).abs() < 1e-6 && (gps.vel_n_m_s + 5.0).abs() < 1e-6);
         assert!((gps.cog_rad.to_degrees() + 179.0).abs() < 1e-3, "{}", gps.cog_rad);
+        let unknown = HIL_GPS_DATA { cog: u16::MAX, ..message };
+        assert!(hil_gps(&unknown, 3).cog_rad.is_nan());
     }
 }

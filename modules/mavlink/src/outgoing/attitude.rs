@@ -39,7 +39,7 @@ fn attitude_message(attitude: &VehicleAttitude) -> ATTITUDE_DATA {
     // Whoever publishes no quaternion means its angles.
     let [roll, pitch, yaw] = match attitude.q {
         [0.0, 0.0, 0.0, 0.0] => [attitude.roll, attitude.pitch, attitude.yaw],
-        q => euler(q),
+        q => rotation::euler(q),
     };
     ATTITUDE_DATA {
         time_boot_ms: ms(attitude.timestamp),
@@ -75,29 +75,15 @@ pub(super) fn ms(timestamp_us: u64) -> u32 {
     (timestamp_us / 1000) as u32
 }
 
-/// Roll, pitch and yaw of a rotation, in radians.
-fn euler([w, x, y, z]: [f32; 4]) -> [f32; 3] {
-    [
-        (2.0 * (w * x + y * z)).atan2(1.0 - 2.0 * (x * x + y * y)),
-        (2.0 * (w * y - z * x)).clamp(-1.0, 1.0).asin(),
-        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z)),
-    ]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn angles_are_those_of_the_quaternion() {
-        let angles = [0.3, -0.7, 2.5];
-        let back = euler(rotation::quaternion(angles));
-        for (angle, back) in angles.iter().zip(back) {
-            assert!((angle - back).abs() < 1e-5, "{back}");
-        }
         let attitude = VehicleAttitude {
             timestamp: 5_999,
-            q: rotation::quaternion(angles),
+            q: rotation::quaternion([0.3, -0.7, 2.5]),
             roll: 9.0,
             yawspeed: 0.5,
             ..VehicleAttitude::default()
@@ -113,6 +99,6 @@ mod tests {
         let message = attitude_message(&attitude);
         assert_eq!((message.roll, message.pitch, message.yaw), (0.1, 0.0, -3.0));
         let q = quaternion_message(&attitude);
-        assert!((euler([q.q1, q.q2, q.q3, q.q4])[2] + 3.0).abs() < 1e-5);
+        assert!((rotation::euler([q.q1, q.q2, q.q3, q.q4])[2] + 3.0).abs() < 1e-5);
     }
 }

@@ -46,8 +46,7 @@ fn sys_status_message(
         onboard_control_sensors_enabled: status.onboard_control_sensors_enabled,
         onboard_control_sensors_health: status.onboard_control_sensors_health,
         load: load.map_or(0, |load| (load.load * 1000.0).round() as u16),
-        voltage_battery: battery
-            .map_or(u16::MAX, |it| (filtered_voltage_v(&it) * 1e3).round() as u16),
+        voltage_battery: battery.map_or(u16::MAX, |it| millivolts(filtered_voltage_v(&it))),
         current_battery: battery.map_or(-1, |it| centiamperes(&it)),
         battery_remaining: battery.map_or(-1, |it| percent((it.remaining * 100.0).ceil())),
         ..SYS_STATUS_DATA::DEFAULT
@@ -58,7 +57,8 @@ pub(super) fn batteries(session: &Session) -> Box<dyn Source> {
     let mut batteries = follow_batteries(session);
     on_clock(move |send| {
         for (id, battery) in batteries.iter_mut().enumerate() {
-            if let Some(battery) = battery.update() {
+            // The newest, also if it was sent before: whoever asks again wants an answer.
+            if let Some(battery) = battery.copy() {
                 send(MavMessage::BATTERY_STATUS(battery_message(id as u8, &battery)));
             }
         }
@@ -69,6 +69,7 @@ fn battery_message(id: u8, battery: &BatteryStatus) -> BATTERY_STATUS_DATA {
     use MavBatteryChargeState as State;
     let is_there = bool::from(battery.connected);
     let known = |value| if is_there { value } else { -1 };
+    let is_measured = is_there && battery.voltage_v.is_finite();
     let charge_state = match battery.warning {
         BatteryStatus::BATTERY_WARNING_NONE => State::MAV_BATTERY_CHARGE_STATE_OK,
         BatteryStatus::BATTERY_WARNING_LOW => State::MAV_BATTERY_CHARGE_STATE_LOW,
@@ -82,9 +83,9 @@ fn battery_message(id: u8, battery: &BatteryStatus) -> BATTERY_STATUS_DATA {
         battery_function: MavBatteryFunction::MAV_BATTERY_FUNCTION_ALL as u8,
         mavtype: MavBatteryType::MAV_BATTERY_TYPE_LIPO as u8,
         temperature: i16::MAX,
-        voltages: if is_there { whole_voltage(battery.voltage_v) } else { [u16::MAX; 10] },
+        voltages: if is_measured { whole_voltage(battery.voltage_v) } else { [u16::MAX; 10] },
         current_battery: known(i32::from(centiamperes(battery))) as i16,
-        current_consumed: known(battery.discharged_mah as i32),
+        current_consumed: known(milliampere_hours(battery)),
         energy_consumed: -1,
         battery_remaining: known(percent((battery.remaining * 100.0).round()).into()) as i8,
         charge_state: charge_state as u8,
@@ -116,17 +117,26 @@ fn filtered_voltage_v(battery: &BatteryStatus) -> f32 {
     }
 }
 
+/// 65,535 says that nobody has measured it.
+fn millivolts(voltage_v: f32) -> u16 {
+    if voltage_v.is_finite() { (voltage_v * 1e3).round() as u16 } else { u16::MAX }
+}
+
+/// -1 says that nobody has measured it, also in those that follow.
+fn milliampere_hours(battery: &BatteryStatus) -> i32 {
+    if battery.discharged_mah >= 0.0 { battery.discharged_mah as i32 } else { -1 }
+}
+
 fn centiamperes(battery: &BatteryStatus) -> i16 {
     let current_a = match battery.current_filtered_a {
         0.0 => battery.current_a,
         filtered => filtered,
     };
-    // Below zero nobody measures it.
-    if current_a < 0.0 { -1 } else { (current_a * 100.0) as i16 }
+    if current_a >= 0.0 { (current_a * 100.0) as i16 } else { -1 }
 }
 
 fn percent(percent: f32) -> i8 {
-    if percent < 0.0 { -1 } else { percent.min(100.0) as i8 }
+    if percent >= 0.0 { percent.min(100.0) as i8 } else { -1 }
 }
 
 #[cfg(test)]
@@ -160,6 +170,25 @@ mod tests {
         assert_eq!((message.current_battery, message.battery_remaining), (-1, -1));
         assert_eq!(message.voltages, [u16::MAX; 10]);
         let status = sys_status_message(Some(VehicleStatus::default()), None, None);
+        assert_eq!((status.voltage_battery, status.current_battery), (u16::MAX, -1));
+        assert_eq!(status.battery_remaining, -1);
+    }
+
+    #[test]
+    fn what_nobody_has_measured_is_unknown_and_not_a_number() {
+        let battery = BatteryStatus {
+            connected: true.into(),
+            voltage_v: f32::NAN,
+            voltage_filtered_v: f32::NAN,
+            current_filtered_a: f32::NAN,
+            discharged_mah: f32::NAN,
+            remaining: f32::NAN,
+            ..BatteryStatus::default()
+        };
+        let message = battery_message(0, &battery);
+        assert_eq!((message.current_battery, message.current_consumed), (-1, -1));
+        assert_eq!((message.voltages[0], message.battery_remaining), (u16::MAX, -1));
+        let status = sys_status_message(None, None, Some(battery));
         assert_eq!((status.voltage_battery, status.current_battery), (u16::MAX, -1));
         assert_eq!(status.battery_remaining, -1);
     }

@@ -63,7 +63,7 @@ fn global_message(
         vx: (north * 100.0).round() as i16,
         vy: (east * 100.0).round() as i16,
         vz: (down * 100.0).round() as i16,
-        hdg: centidegrees(yaw),
+        hdg: centidegrees(yaw).unwrap_or(u16::MAX),
     }
 }
 
@@ -129,7 +129,8 @@ fn hud_message(
     VFR_HUD_DATA {
         airspeed: airspeed.map_or(0.0, |airspeed| airspeed.indicated_airspeed_m_s),
         groundspeed: local.vx.hypot(local.vy),
-        heading: (centidegrees(local.yaw) / 100) as i16,
+        // The only angle here that has no word for an unknown one.
+        heading: centidegrees(local.yaw).map_or(0, |heading| (heading / 100) as i16),
         throttle: controls
             .map_or(0, |controls| (controls.control[THROTTLE] * 100.0).clamp(0.0, 100.0) as u16),
         alt: match is_global {
@@ -190,9 +191,10 @@ fn mm(meters: f32) -> i32 {
     (f64::from(meters) * 1e3).round() as i32
 }
 
-/// A heading from 0 to 359.99 degrees.
-pub(super) fn centidegrees(radians: f32) -> u16 {
-    (radians.rem_euclid(TAU).to_degrees() * 100.0).round() as u16 % 36_000
+/// A heading from 0 to 359.99 degrees. None: it is not known.
+pub(super) fn centidegrees(radians: f32) -> Option<u16> {
+    let degrees = radians.rem_euclid(TAU).to_degrees();
+    degrees.is_finite().then_some((degrees * 100.0).round() as u16 % 36_000)
 }
 
 #[cfg(test)]
@@ -201,10 +203,11 @@ mod tests {
 
     #[test]
     fn headings_are_never_negative_and_never_full() {
-        assert_eq!(centidegrees(-std::f32::consts::FRAC_PI_2), 27_000);
-        assert_eq!(centidegrees(0.0), 0);
-        assert_eq!(centidegrees(-1e-6), 0);
-        assert_eq!(centidegrees(std::f32::consts::PI), 18_000);
+        assert_eq!(centidegrees(-std::f32::consts::FRAC_PI_2), Some(27_000));
+        assert_eq!(centidegrees(0.0), Some(0));
+        assert_eq!(centidegrees(-1e-6), Some(0));
+        assert_eq!(centidegrees(std::f32::consts::PI), Some(18_000));
+        assert_eq!(centidegrees(f32::NAN), None);
     }
 
     #[test]
@@ -234,6 +237,8 @@ mod tests {
         };
         let message = global_message(&position, Some(local), Some(home));
         assert_eq!((message.vx, message.hdg), (500, 5_730));
+        let unknown = VehicleGlobalPosition { yaw: f32::NAN, ..position };
+        assert_eq!(global_message(&unknown, None, None).hdg, u16::MAX);
     }
 
     #[test]

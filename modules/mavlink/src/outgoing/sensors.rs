@@ -109,7 +109,7 @@ fn gps_message(gps: &VehicleGpsPosition) -> GPS_RAW_INT_DATA {
         eph: hundredths(gps.hdop),
         epv: hundredths(gps.vdop),
         vel: hundredths(gps.vel_m_s),
-        cog: centidegrees(gps.cog_rad),
+        cog: centidegrees(gps.cog_rad).unwrap_or(u16::MAX),
         satellites_visible: gps.satellites_used,
         alt_ellipsoid: gps.alt_ellipsoid,
         h_acc: thousandths(gps.eph),
@@ -168,6 +168,8 @@ mod tests {
         assert_eq!((message.eph, message.vel, message.cog), (71, 250, 27_000));
         assert_eq!((message.h_acc, message.satellites_visible), (900, 12));
         assert_eq!(hundredths(f32::NAN), u16::MAX);
+        let unknown = VehicleGpsPosition { cog_rad: f32::NAN, ..gps };
+        assert_eq!(gps_message(&unknown).cog, u16::MAX);
 
         let degrees =
             GpsDegrees { latitude_deg: -33.5, altitude_msl_m: 12.345, ..GpsDegrees::default() };

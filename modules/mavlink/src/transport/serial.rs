@@ -24,13 +24,20 @@ pub(super) struct Serial {
     baud: u32,
     file: Option<File>,
     queue: Queue,
+    has_begun: bool,
     next_try_us: u64,
 }
 
 impl Serial {
     pub(super) fn open(device: &Path, baud: u32) -> io::Result<Self> {
-        let file = Some(open(device, baud)?);
-        Ok(Self { device: device.into(), baud, file, queue: Queue::default(), next_try_us: 0 })
+        Ok(Self {
+            device: device.into(),
+            baud,
+            file: Some(open(device, baud)?),
+            queue: Queue::default(),
+            has_begun: false,
+            next_try_us: 0,
+        })
     }
 
     fn close(&mut self) {
@@ -82,13 +89,14 @@ impl Transport for Serial {
     }
 
     fn delivery(&self) -> Delivery {
-        Delivery::Stream
+        Delivery::Line
     }
 
     fn receive(&mut self, buffer: &mut [u8]) -> Option<usize> {
         if self.file.is_none() && now_us() >= self.next_try_us {
             self.next_try_us = now_us() + OPEN_EVERY_US;
             self.file = open(&self.device, self.baud).ok();
+            self.has_begun = self.file.is_some();
         }
         let file = self.file.as_mut()?;
         match self.queue.flush(file).and_then(|()| file.read(buffer)) {
@@ -99,6 +107,10 @@ impl Transport for Serial {
             _ => self.close(),
         }
         None
+    }
+
+    fn has_begun(&mut self) -> bool {
+        std::mem::take(&mut self.has_begun)
     }
 
     fn send(&mut self, packet: &[u8]) -> Sent {

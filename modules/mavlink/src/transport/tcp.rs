@@ -26,12 +26,14 @@ const CONNECT_TIMEOUT: Duration = Duration::from_millis(200);
 struct Connection {
     stream: Option<TcpStream>,
     queue: Queue,
+    has_begun: bool,
 }
 
 impl Connection {
     fn begin(&mut self, stream: TcpStream) {
         let is_set = stream.set_nonblocking(true).and_then(|()| stream.set_nodelay(true));
         self.queue.clear();
+        self.has_begun = true;
         self.stream = is_set.is_ok().then_some(stream);
     }
 
@@ -95,6 +97,10 @@ impl Transport for Connector {
         self.connection.receive(buffer)
     }
 
+    fn has_begun(&mut self) -> bool {
+        std::mem::take(&mut self.connection.has_begun)
+    }
+
     fn send(&mut self, packet: &[u8]) -> Sent {
         self.connection.send(packet)
     }
@@ -134,6 +140,10 @@ impl Transport for Listener {
             self.connection.begin(stream);
         }
         self.connection.receive(buffer)
+    }
+
+    fn has_begun(&mut self) -> bool {
+        std::mem::take(&mut self.connection.has_begun)
     }
 
     fn send(&mut self, packet: &[u8]) -> Sent {

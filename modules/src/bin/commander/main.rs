@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use uorb_core::{Publication, Session, Subscription, now_us, poll};
-use uorb_modules::{Outcome, Stop, run};
+use uorb_modules::{Outcome, Stop, run, system_id};
 use uorb_msg::{
     ActuatorArmed, HomePosition, VehicleCommand, VehicleCommandAck, VehicleLandDetected,
     VehicleStatus,
@@ -46,7 +46,7 @@ UORB_DIR and UORB_SYSTEM name the system, as for uorb.";
 struct Arguments {
     /// Number of the vehicle, as for mavlink: it is 1 more in MAVLink [default: the
     /// system's number]
-    #[arg(short = 'i', value_name = "N", value_parser = clap::value_parser!(u32).range(..250))]
+    #[arg(short = 'i', value_name = "N")]
     vehicle: Option<u32>,
 }
 
@@ -62,7 +62,8 @@ fn command(arguments: &Arguments, stop: &Stop, out: &mut impl Write) -> Outcome 
     let mut ears = Ears::open(&session)?;
     let mut news = News::open(&session)?;
     let mut state = State::START;
-    let system_id = arguments.vehicle.unwrap_or(session.system().number()) + 1;
+    let vehicle = arguments.vehicle.unwrap_or(session.system().number());
+    let system_id = system_id(vehicle)?.into();
 
     while !stop.requested() {
         let senses = ears.listen();

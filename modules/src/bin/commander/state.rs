@@ -150,11 +150,13 @@ impl State {
         if !self.is_armed {
             return TEMPORARILY_REJECTED;
         }
-        if self.is_landed {
-            self.is_landed = false;
-            self.nav_state = VehicleStatus::NAVIGATION_STATE_AUTO_TAKEOFF;
-            self.manoeuvre_ends_us = Some(now_us + MANOEUVRE_US);
+        // In the air it has taken off, and perhaps is about to land.
+        if !self.is_landed {
+            return DENIED;
         }
+        self.is_landed = false;
+        self.nav_state = VehicleStatus::NAVIGATION_STATE_AUTO_TAKEOFF;
+        self.manoeuvre_ends_us = Some(now_us + MANOEUVRE_US);
         ACCEPTED
     }
 
@@ -285,6 +287,7 @@ mod tests {
         assert_eq!(state.obey(&take_off(), &senses, 0), ACCEPTED);
         assert_eq!(state.nav_state, VehicleStatus::NAVIGATION_STATE_AUTO_TAKEOFF);
         assert_eq!(state.obey(&arm(false), &senses, 0), DENIED, "it flies");
+        assert_eq!(state.obey(&take_off(), &senses, 0), DENIED, "it has taken off");
 
         state.go_on(&senses, MANOEUVRE_US - 1);
         assert_eq!(state.nav_state, VehicleStatus::NAVIGATION_STATE_AUTO_TAKEOFF);
@@ -294,6 +297,8 @@ mod tests {
 
         assert_eq!(state.obey(&land(), &senses, MANOEUVRE_US), ACCEPTED);
         assert_eq!(state.nav_state, VehicleStatus::NAVIGATION_STATE_AUTO_LAND);
+        assert_eq!(state.obey(&take_off(), &senses, MANOEUVRE_US), DENIED, "it lands");
+        assert_eq!(state.obey(&mode(4, 2), &senses, MANOEUVRE_US), DENIED, "it lands");
         state.go_on(&senses, 2 * MANOEUVRE_US);
         assert!(!state.is_armed && state.is_landed);
     }

@@ -20,8 +20,9 @@ pub(super) fn start(stop: &Stop, out: &mut impl Write) -> Outcome {
         );
     }
     let arguments = std::env::args_os().skip(1).filter(|argument| argument != "start");
-    let pid = background::start::<LoggerStatus>(&session, arguments, stop)?;
-    writeln!(out, "[logger] started: pid {pid}")?;
+    if let Some(pid) = background::start::<LoggerStatus>(&session, arguments, stop)? {
+        writeln!(out, "[logger] started: pid {pid}")?;
+    }
     Ok(())
 }
 
