@@ -392,6 +392,19 @@ fn a_log_that_is_there_is_not_written_over() {
     assert_eq!(fs::read_to_string(&path).unwrap(), "mine");
 }
 
+#[test]
+fn a_topic_that_nobody_knows_is_waited_for_and_told() {
+    let bus = Bus::start();
+    let path = bus.system.base().join("mine.ulg");
+    let output = path.to_str().unwrap();
+    let topics = ["-t", "sensor_acel", "-t", "sensor_*", "-t", "orb_test:5"];
+    let record = [&["record", "--duration", "0.1", "-o", output], &topics[..]].concat();
+    let ended = bus.uorb(&record);
+    let told: Vec<_> = ended.words.lines().filter(|line| line.contains("no topic")).collect();
+    assert_eq!(told, ["uorb: no topic is named sensor_acel yet; did you mean sensor_accel?"]);
+    assert_eq!(ended.code, 0);
+}
+
 /// How many messages were published, as the nodes count.
 fn published(bus: &Bus) -> u64 {
     let nodes = bus.system.list_nodes().unwrap().into_iter();

@@ -14,6 +14,8 @@ use uorb_ulog::{Choice, Place, Plan, Rule, Tally, parse_parameters, record};
 use crate::context::Context;
 use crate::interrupt::Interrupt;
 use crate::listener::positive;
+use crate::nearest::did_you_mean;
+use crate::topics;
 
 /// Record all topics, or some, in a ULog flight log.
 #[derive(Debug, clap::Args)]
@@ -92,6 +94,13 @@ Exit code 0: until Ctrl-C, SIGTERM, --duration or the end of the bus; 1: an erro
 pub(crate) fn run(args: &Args, context: &Context) -> anyhow::Result<()> {
     let plan = args.plan()?;
     let session = context.session()?;
+    if !args.quiet {
+        let topics = topics::names(context);
+        for name in plan.choice.unmatched(&topics) {
+            let hint = did_you_mean(name, topics.iter().map(String::as_str));
+            let _ = writeln!(io::stderr(), "uorb: no topic is named {name} yet{hint}");
+        }
+    }
     let interrupt = Interrupt::catch()?;
     let is_terminated = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGTERM, is_terminated.clone()).context("cannot catch SIGTERM")?;

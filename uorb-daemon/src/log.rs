@@ -19,10 +19,7 @@ const LEVEL_VARIABLE: &str = "UORB_LOG";
 
 /// Starts logging, to the file or to stderr.
 pub(crate) fn start(file: Option<&Path>) -> io::Result<()> {
-    let level = EnvFilter::builder()
-        .with_default_directive(LevelFilter::INFO.into())
-        .with_env_var(LEVEL_VARIABLE)
-        .from_env_lossy();
+    let level = level(&std::env::var(LEVEL_VARIABLE).unwrap_or_default())?;
     let logger = tracing_subscriber::fmt().with_env_filter(level).with_target(false);
     match file {
         Some(path) => {
@@ -35,6 +32,20 @@ pub(crate) fn start(file: Option<&Path>) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// What the variable says. A word that is no level would name a program, and nothing
+/// would be logged.
+fn level(words: &str) -> io::Result<EnvFilter> {
+    let is_level = |word: &str| word.rsplit('=').next().unwrap_or(word).parse::<LevelFilter>();
+    let filter = EnvFilter::builder().with_default_directive(LevelFilter::INFO.into());
+    let is_refused = words.split(',').any(|word| !word.is_empty() && is_level(word).is_err());
+    filter.parse(words).ok().filter(|_| !is_refused).ok_or_else(|| {
+        let what = format!(
+            "{LEVEL_VARIABLE} is {words:?}: it takes off, error, warn, info, debug or trace"
+        );
+        io::Error::new(io::ErrorKind::InvalidInput, what)
+    })
 }
 
 struct CappedFile {
@@ -75,6 +86,17 @@ impl Write for CappedFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_level_is_one_of_six_words() {
+        for words in ["", "debug", "WARN", "uorbd=trace", "uorbd=trace,iceoryx2=off"] {
+            assert!(level(words).is_ok(), "{words}");
+        }
+        for words in ["warning", "verbose", "uorbd=foo", "debug,foo"] {
+            let refused = level(words).unwrap_err().to_string();
+            assert!(refused.contains(words) && refused.contains("trace"), "{refused}");
+        }
+    }
 
     #[test]
     fn a_log_takes_twice_its_limit_at_most() {

@@ -63,7 +63,7 @@ enum Command {
     /// Say which links there are, who is there, and what was lost
     Status,
     /// End all bridges of this system
-    #[command(alias = "stop-all")]
+    #[command(visible_alias = "stop-all")]
     Stop,
 }
 

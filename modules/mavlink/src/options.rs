@@ -151,7 +151,9 @@ impl LinkOptions {
             return Ok(Address::TcpListen(SocketAddr::new(bind, port)));
         }
         if let Some(partner) = &self.tcp {
-            let found = partner.to_socket_addrs().map_err(|error| format!("{partner}: {error}"))?;
+            let found = partner
+                .to_socket_addrs()
+                .map_err(|error| format!("--tcp {partner}: {error}; it takes HOST:PORT"))?;
             let first = found.into_iter().next();
             return first.map(Address::TcpConnect).ok_or_else(|| format!("{partner}: no address"));
         }

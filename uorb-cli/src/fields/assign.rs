@@ -263,7 +263,7 @@ mod tests {
             refused("point.z.z=1"),
             "message point has no field \"z\"; did you mean x or y?"
         );
-        assert_eq!(refused("=1"), "message one_of_each has no field \"\"");
+        assert!(refused("=1").starts_with("message one_of_each has no field \"\"; it has "));
     }
 
     #[test]

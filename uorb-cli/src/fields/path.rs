@@ -126,5 +126,9 @@ fn no_such_field(layout: &Layout, name: &str) -> String {
         let deeper = deeper.filter(|path| path.rsplit('.').next() == Some(name));
         hint = did_you_mean(name, deeper);
     }
+    if hint.is_empty() {
+        let names: Vec<_> = layout.fields.iter().map(|field| &*field.name).collect();
+        hint = format!("; it has {}", names.join(", "));
+    }
     format!("message {} has no field {name:?}{hint}", layout.name)
 }

@@ -67,6 +67,12 @@ impl Choice {
             .collect()
     }
 
+    /// The names and patterns of rules that none of these topics matches.
+    pub fn unmatched<'c>(&'c self, topics: &'c [String]) -> impl Iterator<Item = &'c str> {
+        let patterns = self.rules.iter().map(|rule| &*rule.pattern);
+        patterns.filter(|pattern| !topics.iter().any(|topic| is_match(pattern, topic)))
+    }
+
     /// How often to record a topic; None: not at all.
     pub(super) fn rate(&self, topic: &str) -> Option<Rate> {
         if self.rules.is_empty() {
@@ -80,6 +86,14 @@ impl Choice {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rules_that_match_nothing_are_known() {
+        let rules = ["sensor_*", "nosuch:5", "plain"].map(|rule| rule.parse().unwrap());
+        let choice = Choice::new(rules.to_vec());
+        let topics = ["sensor_gyro", "plain"].map(String::from);
+        assert_eq!(choice.unmatched(&topics).collect::<Vec<_>>(), ["nosuch"]);
+    }
 
     #[test]
     fn the_last_rule_that_matches_a_topic_counts() {
