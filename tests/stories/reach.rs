@@ -2,6 +2,8 @@
 //! meet at a port of this one.
 
 use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use nix::sys::signal::Signal;
@@ -120,6 +122,46 @@ fn a_topic_crosses_while_somebody_over_there_subscribes_and_not_a_message_longer
     drop(stamped);
     eventually("it has no publisher there either", || !b.is_advertised("stamped"));
     assert_eq!(look(&b, "stamped", 0).unwrap().published, 1_999);
+}
+
+#[test]
+fn publishers_that_come_and_go_with_other_priorities_cost_no_message() {
+    let ([mut a, mut b], _reaches) = two("*,reliable", "a/*");
+    let mut stamped = a.advertise::<Stamped>();
+    stamped.publish(&Stamped::new(1, 7)).unwrap();
+    eventually("it is advertised there", || b.is_advertised("stamped"));
+    let mut there = b.stream::<Stamped>();
+    assert_eq!(next(&mut there).count, 1);
+    let has_ended = Arc::new(AtomicBool::new(false));
+    let its_end = has_ended.clone();
+    let publishing = std::thread::spawn(move || {
+        let mut count = 1;
+        while !its_end.load(Ordering::Relaxed) {
+            count += 1;
+            publish(&mut stamped, count);
+        }
+        (stamped, count)
+    });
+    let has_priority = |expected| {
+        eventually("it has this priority there", || {
+            let node = look(&b, "stamped", 0).expect("it is there");
+            node.publishers.last().is_some_and(|entry| entry.priority == expected)
+        });
+    };
+
+    for _ in 0..5 {
+        let options = AdvertiseOptions { priority: Priority::VERY_HIGH, ..Default::default() };
+        let second = Publication::<Stamped>::advertise_with(&a.session(), options).unwrap();
+        has_priority(Priority::VERY_HIGH);
+        drop(second);
+        has_priority(Priority::DEFAULT);
+    }
+    has_ended.store(true, Ordering::Relaxed);
+    let (_stamped, published) = publishing.join().unwrap();
+
+    says(&b, "import", "stamped", "messages", published);
+    assert_eq!(look(&b, "stamped", 0).unwrap().published, published);
+    says(&b, "import", "stamped", "lost", 0);
 }
 
 #[test]

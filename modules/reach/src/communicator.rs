@@ -142,10 +142,15 @@ impl Communicator {
         source: &Source,
         about: &About,
     ) -> anyhow::Result<Advertised> {
-        lock(&self.heard.ours).insert(source.clone(), about.encode());
+        self.describe(source, about);
         let token = self.ours(source).token(about.revision());
         let token = self.session.liveliness().declare_token(token).wait().map_err(words)?;
         Ok(Advertised { _token: token, source: source.clone(), heard: self.heard.clone() })
+    }
+
+    /// Answers this from now on to who asks about a topic of ours.
+    pub(crate) fn describe(&self, source: &Source, about: &About) {
+        lock(&self.heard.ours).insert(source.clone(), about.encode());
     }
 
     /// uORBCommunicator's `add_subscription`: asks for a topic of another machine, at

@@ -88,12 +88,20 @@ impl Exports {
             if export.is_as_told(about.as_ref()) {
                 continue;
             }
+            self.must_order = true;
+            if let (Some(about), Some((told, _))) = (&about, &mut export.advertised)
+                && about.revision() == told.revision()
+            {
+                // Another priority, which comes with the next message.
+                self.communicator.describe(source, about);
+                told.clone_from(about);
+                continue;
+            }
             export.advertised = None;
             if let Some(about) = about {
                 let advertised = self.communicator.topic_advertised(source, &about)?;
                 export.advertised = Some((about, advertised));
             }
-            self.must_order = true;
         }
         self.hear_wishes();
         Ok(())

@@ -7,7 +7,7 @@
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
-use uorb_core::{RawPublication, now_us};
+use uorb_core::{Priority, RawPublication, now_us};
 
 use crate::clock::Clock;
 use crate::communicator::lock;
@@ -22,6 +22,8 @@ pub(crate) struct Incoming {
     /// None: the other machine does not have it now.
     publication: Option<RawPublication>,
     revision: u32,
+    /// That of its publisher over there, as the newest message says.
+    priority: Priority,
     /// The message before. None: what comes next begins the count.
     before: Option<Count>,
     /// What a reach before us has left here, until a message comes.
@@ -54,6 +56,7 @@ impl Incoming {
         Self {
             publication: None,
             revision: 0,
+            priority: Priority::DEFAULT,
             before: None,
             inheritance: None,
             mark: None,
@@ -67,7 +70,7 @@ impl Incoming {
     pub(crate) fn open(
         &mut self,
         publication: RawPublication,
-        revision: u32,
+        (revision, priority): (u32, Priority),
         translation: Option<Translation>,
     ) {
         if self.revision != revision {
@@ -75,7 +78,17 @@ impl Incoming {
             self.rest();
         }
         (self.publication, self.revision) = (Some(publication), revision);
-        self.translation = translation;
+        (self.priority, self.translation) = (priority, translation);
+    }
+
+    /// The priority with which it is to be published here.
+    pub(crate) fn priority(&self) -> Priority {
+        self.priority
+    }
+
+    /// Publishes from the next message on with another publication. Returns the old one.
+    pub(crate) fn publish_with(&mut self, publication: RawPublication) -> Option<RawPublication> {
+        self.publication.replace(publication)
     }
 
     /// The other machine does not have it any more, or is out of reach. What is
@@ -114,6 +127,7 @@ impl Incoming {
         };
         // None: the newest message again, which was sent for somebody else.
         let Some(missing) = missing_since(self.before, header.count) else { return };
+        self.priority = header.priority;
         let mut lost = missing;
         if let Some(Inheritance { published, newest }) = self.inheritance.take() {
             let none = Timestamps::default();

@@ -61,6 +61,7 @@ pub(crate) struct Import {
 
 struct Here {
     node: Node,
+    about: About,
     /// None: nobody here wants it.
     added: Option<Added>,
 }
@@ -133,6 +134,7 @@ impl Imports {
             );
             let rate_mhz = rule.and_then(|rule| rule.rate_hz).map(to_mhz);
             import.follow_demand(&self.communicator, remote, rate_mhz)?;
+            import.follow_priority(&self.session);
         }
         self.note();
         Ok(())
@@ -297,8 +299,9 @@ impl Import {
         let node = Node::open(session.system(), topic, instance, Role::Observer)?;
         let timestamps = Timestamps::of(about.layout());
         let translation = clock.map(|clock| Translation { timestamps, clock });
-        lock(&self.incoming).open(publication, revision, translation);
-        (self.here, self.last_instance) = (Some(Here { node, added: None }), Some(instance));
+        lock(&self.incoming).open(publication, (revision, about.priority), translation);
+        self.here = Some(Here { node, about, added: None });
+        self.last_instance = Some(instance);
         Ok(())
     }
 
@@ -342,6 +345,25 @@ impl Import {
             lock(&self.incoming).rest();
         }
         Ok(())
+    }
+
+    /// Publishes it with the priority that it has over there by now: by a publication
+    /// beside the old one, so that no message comes in between. Where there is no room
+    /// for one more, the old one stays.
+    fn follow_priority(&mut self, session: &Session) {
+        let Some(here) = &mut self.here else { return };
+        let priority = lock(&self.incoming).priority();
+        if priority == here.about.priority {
+            return;
+        }
+        here.about.priority = priority;
+        let claim = Claim::Shared(here.node.identity.instance);
+        let options = AdvertiseOptions { claim, priority, queue_length: None };
+        if let Ok(new) = RawPublication::advertise(session, &here.about.metadata, options) {
+            let old = lock(&self.incoming).publish_with(new);
+            // Outside of the lock, as in `leave`.
+            drop(old);
+        }
     }
 
     pub(crate) fn state(&self) -> State {
