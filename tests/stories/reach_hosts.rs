@@ -136,6 +136,32 @@ fn over_a_poor_link_reliable_topics_lose_nothing_and_the_others_stay_fresh() {
 }
 
 #[test]
+fn what_a_publisher_has_sent_arrives_over_a_slow_link_though_it_ends() {
+    const MESSAGES: u64 = 500;
+    let Some(([mut a, mut b], link)) = two(Weather::FINE) else { return };
+    let _sending = reach(&a, "a", &["--listen", FIRST, "--export", "*,reliable"]);
+    let _receiving = reach(&b, "b", &["--connect", FIRST, "--import", "a/*"]);
+    let mut stamped = a.bus.advertise::<Stamped>();
+    stamped.publish(&Stamped::new(1, 0)).unwrap();
+    eventually("it is advertised there", || b.bus.is_advertised("stamped"));
+    let mut there = b.bus.stream::<Stamped>();
+    assert_eq!(next(&mut there).count, 1);
+
+    // They take some seconds.
+    link.set(Weather { bits_per_second: 400_000, ..Weather::FINE });
+    for count in 2..=MESSAGES {
+        stamped.publish(&Stamped::new(count, 0)).unwrap();
+    }
+    drop(stamped);
+
+    for count in 2..=MESSAGES {
+        assert_eq!(next(&mut there).count, count);
+    }
+    eventually("it has no publisher there either", || !b.bus.is_advertised("stamped"));
+    assert_eq!(lost(&b, "stamped"), 0);
+}
+
+#[test]
 fn a_link_that_is_cut_for_10_s_comes_back_by_itself_and_what_is_missing_is_counted() {
     let Some(([mut a, mut b], link)) = two(Weather::FINE) else { return };
     let _sending = reach(&a, "a", &["--listen", FIRST, "--export", "*,reliable"]);

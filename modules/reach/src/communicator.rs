@@ -155,17 +155,16 @@ impl Communicator {
 
     /// uORBCommunicator's `add_subscription`: asks for a topic of another machine, at
     /// this rate at most (None: for every message). `received` is called on a thread of
-    /// zenoh's, and is not to wait.
+    /// zenoh's, and is not to wait. None: it was the last message for now.
     pub(crate) fn add_subscription(
         &self,
         remote: &Remote,
         rate_mhz: Option<u32>,
-        received: impl Fn(&[u8]) + Send + Sync + 'static,
+        received: impl Fn(Option<&[u8]>) + Send + Sync + 'static,
     ) -> anyhow::Result<Added> {
-        let receive = move |sample: Sample| {
-            if sample.kind() == SampleKind::Put {
-                received(&sample.payload().to_bytes());
-            }
+        let receive = move |sample: Sample| match sample.kind() {
+            SampleKind::Put => received(Some(&sample.payload().to_bytes())),
+            SampleKind::Delete => received(None),
         };
         let subscriber =
             self.session.declare_subscriber(remote.key()).with(Callback::from(receive)).wait();
@@ -282,4 +281,10 @@ impl Heard {
 /// receives the next one.
 pub(crate) fn send_message(sender: &Publisher<'_>, message: ZBytes) {
     let _ = sender.put(message).wait();
+}
+
+/// Says behind the last message that it was the last. Word of a token would be there
+/// before it.
+pub(crate) fn send_end(sender: &Publisher<'_>) {
+    let _ = sender.delete().wait();
 }

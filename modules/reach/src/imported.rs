@@ -16,6 +16,10 @@ use crate::ledger::Mark;
 use crate::translate::Timestamps;
 use crate::wire::{Count, Header};
 
+/// How long the last messages of a topic may be on their way: word that it has gone
+/// overtakes what waits for room on the link.
+const LAST_MESSAGES_US: u64 = 2_000_000;
+
 /// The end of a topic at which messages come in.
 #[derive(Debug)]
 pub(crate) struct Incoming {
@@ -30,6 +34,10 @@ pub(crate) struct Incoming {
     inheritance: Option<Inheritance>,
     /// From where the next reach is to count, should this one be killed.
     mark: Option<Mark>,
+    /// When the newest message came.
+    heard_us: u64,
+    /// Whether the other machine has said that it was the last.
+    has_ended: bool,
     translation: Option<Translation>,
     message: Vec<u8>,
     counts: Arc<Counts>,
@@ -60,6 +68,8 @@ impl Incoming {
             before: None,
             inheritance: None,
             mark: None,
+            heard_us: 0,
+            has_ended: false,
             translation: None,
             message: Vec::new(),
             counts,
@@ -114,9 +124,21 @@ impl Incoming {
         self.mark
     }
 
+    /// It was the last message for now.
+    pub(crate) fn end(&mut self) {
+        self.has_ended = true;
+    }
+
+    /// Whether the last messages of a topic that has gone there are here: the other
+    /// machine says so behind them, or else, if it cannot, nothing comes any more.
+    pub(crate) fn is_over(&self, gone_us: u64) -> bool {
+        self.has_ended || now_us() > self.heard_us.max(gone_us) + LAST_MESSAGES_US
+    }
+
     /// uORBCommunicator's `process_received_message`.
     pub(crate) fn process_received_message(&mut self, bytes: &[u8]) {
         let Some(publication) = &mut self.publication else { return };
+        (self.heard_us, self.has_ended) = (now_us(), false);
         let decoded = Header::decode(bytes).filter(|(header, message)| {
             let size_bytes = publication.metadata().layout.size_bytes as usize;
             header.revision == self.revision && message.len() == size_bytes

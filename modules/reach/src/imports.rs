@@ -48,6 +48,8 @@ pub(crate) struct Imports {
 pub(crate) struct Import {
     /// What the other machine has announced. None: it is gone.
     revision: Option<u32>,
+    /// When it went.
+    gone_us: u64,
     incoming: Arc<Mutex<Incoming>>,
     pub(crate) counts: Arc<Counts>,
     /// What of it there is here, for as long as it is published.
@@ -118,7 +120,10 @@ impl Imports {
         self.hear();
         self.ask_clocks()?;
         for (remote, import) in &mut self.topics {
-            let Some(revision) = import.revision else { continue };
+            let Some(revision) = import.revision else {
+                import.leave_if_over(&self.communicator);
+                continue;
+            };
             if import.here.as_ref().is_some_and(|here| here.node.ending().is_some()) {
                 import.leave(&self.communicator);
             }
@@ -174,7 +179,11 @@ impl Imports {
         for (remote, import) in &mut self.topics {
             let revision = revisions.remove(remote);
             if import.revision != revision {
-                import.leave(&self.communicator);
+                // Of one that is gone the last messages may be on their way.
+                if revision.is_some_and(|revision| !import.is_here_as(revision)) {
+                    import.leave(&self.communicator);
+                }
+                import.gone_us = now_us();
                 (import.revision, import.refused, import.try_at_us) = (revision, None, 0);
             }
         }
@@ -217,6 +226,7 @@ impl Import {
         let counts: Arc<Counts> = Arc::default();
         Self {
             revision: Some(revision),
+            gone_us: 0,
             incoming: Arc::new(Mutex::new(Incoming::new(counts.clone()))),
             counts,
             here: None,
@@ -313,6 +323,18 @@ impl Import {
         }
     }
 
+    fn is_here_as(&self, revision: u32) -> bool {
+        self.here.as_ref().is_some_and(|here| here.about.revision() == revision)
+    }
+
+    /// It is gone over there, and no message of it can come any more.
+    fn leave_if_over(&mut self, communicator: &Communicator) {
+        let Some(here) = &self.here else { return };
+        if here.added.is_none() || lock(&self.incoming).is_over(self.gone_us) {
+            self.leave(communicator);
+        }
+    }
+
     /// It has no publisher here any more.
     fn leave(&mut self, communicator: &Communicator) {
         if let Some(here) = self.here.take()
@@ -336,7 +358,10 @@ impl Import {
         let is_wanted = here.node.status().subscribers > 0;
         if is_wanted && here.added.is_none() {
             let incoming = self.incoming.clone();
-            let receive = move |bytes: &[u8]| lock(&incoming).process_received_message(bytes);
+            let receive = move |bytes: Option<&[u8]>| match bytes {
+                Some(bytes) => lock(&incoming).process_received_message(bytes),
+                None => lock(&incoming).end(),
+            };
             here.added = Some(communicator.add_subscription(remote, rate_mhz, receive)?);
         } else if !is_wanted {
             if let Some(added) = here.added.take() {

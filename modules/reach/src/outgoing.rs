@@ -18,7 +18,7 @@ use uorb_core::{Error, QueueLength, RawSubscription, Session, StreamOptions, now
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 
-use crate::communicator::{Communicator, lock, send_message};
+use crate::communicator::{Communicator, lock, send_end, send_message};
 use crate::counts::Counts;
 use crate::keys::Source;
 use crate::rules::Crossing;
@@ -46,6 +46,8 @@ pub(crate) struct Order {
     pub(crate) rate_mhz: Option<u32>,
     /// Counts those who have come to want it: each is sent the newest message.
     pub(crate) newcomers: u32,
+    /// Nobody publishes it any more. Set when all that there is has left.
+    pub(crate) ending: Option<Arc<AtomicBool>>,
     pub(crate) counts: Arc<Counts>,
 }
 
@@ -159,6 +161,7 @@ impl Leaving {
                 followed.take(order);
                 continue;
             }
+            let ending = order.ending.clone();
             match Followed::begin(&self.session, &self.communicator, &source, order) {
                 Ok(followed) => {
                     self.refused.remove(&source);
@@ -166,6 +169,8 @@ impl Leaving {
                 }
                 Err(why) => {
                     is_done = false;
+                    // What cannot be followed has nothing more to send.
+                    ending.iter().for_each(|ending| ending.store(true, Ordering::Relaxed));
                     self.refuse(source, &why.to_string());
                 }
             }
@@ -231,6 +236,7 @@ impl Followed {
     fn send_some(&mut self, session: &Session, run: u32) -> bool {
         for _ in 0..TURN {
             if !self.copy_next() {
+                self.end_if_all_has_left();
                 return false;
             }
             let Some(copied) = self.subscription.last_copied() else { return false };
@@ -255,6 +261,17 @@ impl Followed {
             self.newest = Some(message);
         }
         true
+    }
+
+    /// Says so behind the last message, where nobody publishes any more. What a rate
+    /// holds back is not wanted.
+    fn end_if_all_has_left(&self) {
+        let Some(ending) = &self.order.ending else { return };
+        let all_has_left = self.order.rate_mhz.is_some() || self.subscription.pending() == 0;
+        if all_has_left && !ending.load(Ordering::Relaxed) {
+            send_end(&self.sender);
+            ending.store(true, Ordering::Relaxed);
+        }
     }
 
     /// Counts what is missing before this message: it was lost, or else nobody wanted
