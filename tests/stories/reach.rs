@@ -343,6 +343,35 @@ fn a_topic_that_a_local_publisher_has_joined_is_sent_on_without_what_came_in() {
 }
 
 #[test]
+fn what_a_reach_that_was_killed_had_brought_in_is_not_sent_back_by_the_next_one() {
+    let (mut a, mut b) = (Bus::start(), Bus::start());
+    let at = endpoint();
+    let all = ["--export", "*,reliable", "--import", "*/*"];
+    let _a = reach(&a, "a", &[&["--listen", &at], &all[..]].concat());
+    let mut ours = a.advertise::<Plain>();
+    let connecting = [&["--connect", &at], &all[..]].concat();
+    let mut first = reach(&b, "b", &connecting);
+    eventually("it is advertised there", || b.is_advertised("plain"));
+    let mut both = b.stream::<Plain>();
+    ours.publish(&Plain { value: 1 }).unwrap();
+    assert_eq!(next(&mut both), Plain { value: 1 });
+    first.kill();
+    // Somebody there joins the instance, whose newest message is the one from here.
+    let mut theirs = b.advertise::<Plain>();
+
+    let _next = reach(&b, "b", &connecting);
+
+    eventually("theirs is advertised here", || look(&a, "plain", 1).is_some());
+    let session = a.session();
+    let options = uorb_core::StreamOptions::default();
+    let mut back =
+        StreamSubscription::<Plain>::subscribe_with(&session, instance(1), options).unwrap();
+    followed(&b, "plain", 0, 2);
+    theirs.publish(&Plain { value: 100 }).unwrap();
+    assert_eq!(next(&mut back), Plain { value: 100 });
+}
+
+#[test]
 fn a_layout_that_does_not_match_is_refused_with_both_field_lists() {
     let ([mut a, mut b], [_a, mut importing]) = two("plain", "a/*");
     let other = Metadata {

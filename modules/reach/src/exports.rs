@@ -14,6 +14,7 @@ use uorb_msg::ReachStatus;
 use crate::communicator::{Advertised, Communicator};
 use crate::counts::Counts;
 use crate::keys::{Place, Source, Wish};
+use crate::ledger::BroughtIn;
 use crate::outgoing::{Order, Orders, Outgoing};
 use crate::rules::{Crossing, Rules};
 use crate::wire::About;
@@ -54,10 +55,11 @@ impl Exports {
         session: &Session,
         communicator: &Arc<Communicator>,
         rules: &Arc<Rules>,
-        run: u32,
+        (run, brought_in): (u32, &BroughtIn),
     ) -> anyhow::Result<Self> {
         let start = |name| {
-            Outgoing::start(name, session, communicator, run).context("cannot start a thread")
+            let started = Outgoing::start(name, session, communicator, (run, brought_in.clone()));
+            started.context("cannot start a thread")
         };
         Ok(Self {
             session: session.clone(),

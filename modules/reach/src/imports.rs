@@ -92,6 +92,7 @@ impl Imports {
         communicator: &Arc<Communicator>,
         rules: &Arc<Rules>,
         translates_time: bool,
+        ledger: Ledger,
     ) -> Self {
         Self {
             session: session.clone(),
@@ -102,7 +103,7 @@ impl Imports {
             machines: BTreeMap::new(),
             advertised: BTreeSet::new(),
             heard: 0,
-            ledger: Ledger::open(session),
+            ledger,
             marks: Vec::new(),
         }
     }

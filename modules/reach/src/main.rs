@@ -40,6 +40,7 @@ use communicator::Communicator;
 use exports::Exports;
 use imports::Imports;
 use keys::{MACHINE_NAME_MAX_BYTES, Place, is_machine_name};
+use ledger::Ledger;
 use rules::{Rule, Rules};
 use tell::Telling;
 
@@ -156,8 +157,10 @@ fn reach(
     writeln!(out, "[reach] this is {place}")?;
 
     // What this run is called: none before it, and none at the same time elsewhere.
-    let mut exports = Exports::begin(session, &communicator, &rules, now_us() as u32)?;
-    let mut imports = Imports::new(session, &communicator, &rules, options.translate_time);
+    let run = now_us() as u32;
+    let (ledger, brought_in) = Ledger::open(session);
+    let mut exports = Exports::begin(session, &communicator, &rules, (run, &brought_in))?;
+    let mut imports = Imports::new(session, &communicator, &rules, options.translate_time, ledger);
     while !session.has_ended() && stop.sleep_until(now_us() + LOOK_EVERY_US) {
         exports.look()?;
         imports.look()?;

@@ -21,6 +21,7 @@ use zenoh::pubsub::Publisher;
 use crate::communicator::{Communicator, lock, send_end, send_message};
 use crate::counts::Counts;
 use crate::keys::Source;
+use crate::ledger::BroughtIn;
 use crate::rules::Crossing;
 use crate::wire::{Count, Header};
 
@@ -74,7 +75,7 @@ impl Outgoing {
         name: &str,
         session: &Session,
         communicator: &Arc<Communicator>,
-        run: u32,
+        (run, brought_in): (u32, BroughtIn),
     ) -> std::io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let mut leaving = Leaving {
@@ -82,6 +83,7 @@ impl Outgoing {
             communicator: communicator.clone(),
             shared: shared.clone(),
             run,
+            brought_in,
             followed: BTreeMap::new(),
             refused: BTreeMap::new(),
         };
@@ -109,6 +111,7 @@ struct Leaving {
     communicator: Arc<Communicator>,
     shared: Arc<Shared>,
     run: u32,
+    brought_in: BroughtIn,
     followed: BTreeMap<Source, Followed>,
     /// What could not be followed, and why.
     refused: BTreeMap<Source, String>,
@@ -140,7 +143,7 @@ impl Leaving {
             for _ in 0..TURNS_MAX {
                 let mut has_more = false;
                 for followed in self.followed.values_mut() {
-                    has_more |= followed.send_some(&self.session, self.run);
+                    has_more |= followed.send_some(self.run, &self.brought_in);
                 }
                 if !has_more {
                     break;
@@ -233,7 +236,7 @@ impl Followed {
     }
 
     /// Sends what there is, though not without end. True: there may be more.
-    fn send_some(&mut self, session: &Session, run: u32) -> bool {
+    fn send_some(&mut self, run: u32, brought_in: &BroughtIn) -> bool {
         for _ in 0..TURN {
             if !self.copy_next() {
                 self.end_if_all_has_left();
@@ -242,8 +245,8 @@ impl Followed {
             let Some(copied) = self.subscription.last_copied() else { return false };
             let generation = copied.generation.get();
             let left_out = self.count_up_to(generation);
-            if copied.peer == session.peer() {
-                // It came in by us, to an instance that somebody here has joined.
+            if brought_in.has(&copied) {
+                // It came in by a reach, to an instance that somebody here has joined.
                 self.order.counts.leave_out(1);
                 continue;
             }
