@@ -484,6 +484,24 @@ fn what_was_published_while_nobody_could_send_it_is_counted_and_the_newest_comes
 }
 
 #[test]
+fn of_two_that_begin_at_the_same_time_one_runs() {
+    let bus = Bus::start();
+    let listen = ["--listen", "tcp/127.0.0.1:0", "--export", "*"];
+    for _ in 0..10 {
+        let mut two = [0, 1].map(|_| bus.spawn_heard("reach", &listen));
+        // Its first line, or none where it has given way.
+        let said = two.each_mut().map(Actor::line);
+        assert_eq!(said.iter().flatten().count(), 1, "{said:?}");
+        for (reach, said) in two.iter_mut().zip(&said) {
+            match said {
+                Some(_) => reach.kill(),
+                None => reach.end().failed(&["runs on this system already"]),
+            }
+        }
+    }
+}
+
+#[test]
 fn there_is_one_reach_on_a_system_and_it_says_what_it_lacks() {
     let bus = Bus::start();
     let at = endpoint();

@@ -32,6 +32,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use clap::Parser;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
+use uorb_core::broker_side::{Node, Role};
 use uorb_core::{Error, Instance, Session, Topic, now_us};
 use uorb_modules::{Stop, run};
 use uorb_msg::ReachStatus;
@@ -68,6 +69,8 @@ const PREDECESSOR_US: u64 = 1_000_000;
 
 /// How long to wait before it says that it waits.
 const SAY_AFTER_US: u64 = 1_000_000;
+
+const ANOTHER_RUNS: &str = "a reach runs on this system already; `reach status` says what it does";
 
 /// Topics of this machine on others, and of others on this one.
 #[derive(Parser, Debug)]
@@ -153,6 +156,7 @@ fn reach(
     wait_for_predecessor(session, stop)?;
     raise_descriptor_limit();
     let mut telling = Telling::new(session)?;
+    give_way(session)?;
     let Some(communicator) = connect(config, &place, stop)? else { return Ok(()) };
     writeln!(out, "[reach] this is {place}")?;
 
@@ -238,8 +242,19 @@ fn wait_for_predecessor(session: &Session, stop: &Stop) -> anyhow::Result<()> {
     let deadline_us = now_us() + PREDECESSOR_US;
     while session.exists(&ReachStatus::METADATA.name, Instance::FIRST)? {
         if now_us() > deadline_us || !stop.sleep_until(now_us() + LOOK_EVERY_US) {
-            bail!("a reach runs on this system already; `reach status` says what it does");
+            bail!(ANOTHER_RUNS);
         }
+    }
+    Ok(())
+}
+
+/// Of two that have begun at the same time the one stays that is there first.
+fn give_way(session: &Session) -> anyhow::Result<()> {
+    let topic = &ReachStatus::METADATA.name;
+    let node = Node::open(session.system(), topic, Instance::FIRST, Role::Observer)?;
+    let publishers = node.status().publishers;
+    if publishers.first().is_some_and(|first| first.peer != session.peer()) {
+        bail!(ANOTHER_RUNS);
     }
     Ok(())
 }
