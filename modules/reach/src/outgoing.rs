@@ -141,15 +141,29 @@ impl Leaving {
             self.wait();
             // A publisher without a pause does not keep us from all else.
             for _ in 0..TURNS_MAX {
-                let mut has_more = false;
-                for followed in self.followed.values_mut() {
-                    has_more |= followed.send_some(self.run, &self.brought_in);
-                }
-                if !has_more {
+                if !self.send_some(seen) {
                     break;
                 }
             }
         }
+    }
+
+    /// Sends some of each topic. A message may have to wait for room, so it looks behind
+    /// each whether there is something else to do. True: there may be more.
+    fn send_some(&mut self, seen: u64) -> bool {
+        let shared = &self.shared;
+        let is_called = || {
+            shared.has_ended.load(Ordering::Relaxed)
+                || shared.changes.load(Ordering::Relaxed) != seen
+        };
+        let mut has_more = false;
+        for followed in self.followed.values_mut() {
+            has_more |= followed.send_some(self.run, &self.brought_in, is_called);
+            if shared.has_ended.load(Ordering::Relaxed) {
+                return false;
+            }
+        }
+        has_more && !is_called()
     }
 
     /// Follows what is wanted, and nothing else. False: something has to wait.
@@ -236,7 +250,12 @@ impl Followed {
     }
 
     /// Sends what there is, though not without end. True: there may be more.
-    fn send_some(&mut self, run: u32, brought_in: &BroughtIn) -> bool {
+    fn send_some(
+        &mut self,
+        run: u32,
+        brought_in: &BroughtIn,
+        is_called: impl Fn() -> bool,
+    ) -> bool {
         for _ in 0..TURN {
             if !self.copy_next() {
                 self.end_if_all_has_left();
@@ -262,6 +281,9 @@ impl Followed {
             self.order.counts.count_message(message.len());
             send_message(&self.sender, message.clone());
             self.newest = Some(message);
+            if is_called() {
+                break;
+            }
         }
         true
     }
