@@ -453,6 +453,45 @@ fn the_highest_rate_that_anybody_wants_crosses_and_not_more() {
 }
 
 #[test]
+fn nothing_is_lost_where_one_wants_a_rate_and_others_who_come_and_go_want_everything() {
+    let (mut a, mut b, mut c) = (Bus::start(), Bus::start(), Bus::start());
+    let at = endpoint();
+    let _a = reach(&a, "a", &["--listen", &at, "--export", "*,reliable"]);
+    let _b = reach(&b, "b", &["--connect", &at, "--import", "a/*:50"]);
+    let _c = reach(&c, "c", &["--connect", &at, "--import", "a/*"]);
+    let mut stamped = a.advertise::<Stamped>();
+    stamped.publish(&Stamped::new(0, 7)).unwrap();
+    for bus in [&mut b, &mut c] {
+        eventually("it is advertised there", || bus.is_advertised("stamped"));
+    }
+    let mut slow = b.stream::<Stamped>();
+    next(&mut slow);
+
+    let mut count = 0;
+    for _ in 0..5 {
+        let mut all = c.stream::<Stamped>();
+        followed(&a, "stamped", 0, 1);
+        // The newest of all, behind the newest that it had.
+        while next(&mut all).count < count {}
+        for _ in 0..100 {
+            count += 1;
+            publish(&mut stamped, count);
+            assert_eq!(next(&mut all).count, count);
+        }
+        drop(all);
+        followed(&a, "stamped", 0, 0);
+        // While there is only the rate.
+        for _ in 0..100 {
+            count += 1;
+            publish(&mut stamped, count);
+        }
+        while next(&mut slow).count < count {}
+    }
+    says(&b, "import", "stamped", "lost", 0);
+    says(&c, "import", "stamped", "lost", 0);
+}
+
+#[test]
 fn what_was_published_while_nobody_could_send_it_is_counted_and_the_newest_comes_first() {
     let (mut a, mut b) = (Bus::start(), Bus::start());
     let at = endpoint();

@@ -169,17 +169,19 @@ impl Leaving {
     /// Follows what is wanted, and nothing else. False: something has to wait.
     fn follow_orders(&mut self) -> bool {
         let orders = lock(&self.shared.orders).clone();
-        self.followed.retain(|source, followed| {
-            orders.get(source).is_some_and(|order| followed.continues(order))
-        });
+        self.followed.retain(|source, _| orders.contains_key(source));
         let mut is_done = true;
         for (source, order) in orders {
-            if let Some(followed) = self.followed.get_mut(&source) {
+            let mut before = self.followed.remove(&source);
+            if let Some(mut followed) = before.take_if(|followed| followed.continues(&order)) {
                 followed.take(order);
+                self.followed.insert(source, followed);
                 continue;
             }
+            let generation = before.as_ref().and_then(|before| before.hands_over(&order));
             let ending = order.ending.clone();
-            match Followed::begin(&self.session, &self.communicator, &source, order) {
+            let communicator = &self.communicator;
+            match Followed::begin(&self.session, communicator, &source, order, generation) {
                 Ok(followed) => {
                     self.refused.remove(&source);
                     self.followed.insert(source, followed);
@@ -222,10 +224,11 @@ impl Followed {
         communicator: &Communicator,
         source: &Source,
         order: Order,
+        generation: Option<u32>,
     ) -> anyhow::Result<Self> {
         let subscription = subscribe(session, source, &order)?;
         let sender = communicator.sender(source, order.crossing)?;
-        let (newest, generation, lost, message) = (None, None, 0, Vec::new());
+        let (newest, lost, message) = (None, 0, Vec::new());
         Ok(Self { order, subscription, sender, newest, generation, lost, message })
     }
 
@@ -234,6 +237,14 @@ impl Followed {
         let same_way = order.rate_mhz.is_some() == self.order.rate_mhz.is_some()
             && order.crossing == self.order.crossing;
         same_way && order.revision == self.order.revision && self.subscription.check().is_ok()
+    }
+
+    /// Up to where what comes after it counts as sent or left out, where a rate takes the
+    /// place of every message or the other way round: what was not sent then was not
+    /// wanted. In all other cases it is lost.
+    fn hands_over(&self, order: &Order) -> Option<u32> {
+        let is_of_a_rate = order.rate_mhz.is_some() || self.order.rate_mhz.is_some();
+        self.generation.filter(|_| is_of_a_rate && order.revision == self.order.revision)
     }
 
     fn take(&mut self, order: Order) {
@@ -263,10 +274,11 @@ impl Followed {
             }
             let Some(copied) = self.subscription.last_copied() else { return false };
             let generation = copied.generation.get();
+            let is_again = self.generation == Some(generation);
             let left_out = self.count_up_to(generation);
             if brought_in.has(&copied) {
                 // It came in by a reach, to an instance that somebody here has joined.
-                self.order.counts.leave_out(1);
+                self.order.counts.leave_out(u32::from(!is_again));
                 continue;
             }
             let header = Header {
@@ -307,7 +319,9 @@ impl Followed {
         let lost = self.lost - lost_before;
         counts.count_lost(lost);
         let before = self.generation.replace(generation);
-        let missing = before.map_or(0, |before| generation.wrapping_sub(before).wrapping_sub(1));
+        // One that begins where another has ended begins with the newest, maybe once more.
+        let steps = before.map_or(0, |before| generation.wrapping_sub(before));
+        let missing = steps.saturating_sub(1);
         counts.leave_out(missing.saturating_sub(lost as u32))
     }
 
