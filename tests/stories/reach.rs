@@ -541,6 +541,22 @@ fn of_two_that_begin_at_the_same_time_one_runs() {
 }
 
 #[test]
+fn whoever_waits_to_be_let_in_says_so_and_ends_with_the_system() {
+    let mut bus = Bus::start();
+    let nobody = endpoint();
+    let mut waiting = bus.spawn_heard("reach", &["--connect", &nobody, "--export", "*"]);
+    let words = waiting.word().expect("it says that it waits");
+    assert!(words.contains("nobody lets "), "{words}");
+    bus.spawn_heard("reach", &["status"]).end().failed(&["nobody has let it in yet"]);
+
+    bus.stop();
+
+    let ended = waiting.end();
+    assert_eq!(ended.code, 0, "{}", ended.words);
+    assert!(ended.words.contains("has ended"), "{}", ended.words);
+}
+
+#[test]
 fn there_is_one_reach_on_a_system_and_it_says_what_it_lacks() {
     let bus = Bus::start();
     let at = endpoint();
@@ -553,7 +569,9 @@ fn there_is_one_reach_on_a_system_and_it_says_what_it_lacks() {
     first.kill();
     let mut next = reach(&bus, "a", &["--listen", &at, "--export", "*"]);
     let status = bus.spawn_heard("reach", &["status"]).end().fine();
-    assert!(status.starts_with("WAY "), "{status}");
+    assert!(status.starts_with("WAY ") && status.lines().count() == 1, "{status}");
+    let status = bus.uorb(&["info", "reach_status"]).fine();
+    assert!(!status.contains("  reach  "), "{status}");
     next.signal(Signal::SIGTERM);
     assert_eq!(next.end().code, 0);
     bus.spawn_heard("reach", &["status"]).end().failed(&["no reach runs here"]);

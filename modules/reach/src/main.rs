@@ -157,7 +157,7 @@ fn reach(
     raise_descriptor_limit();
     let mut telling = Telling::new(session)?;
     give_way(session)?;
-    let Some(communicator) = connect(config, &place, stop)? else { return Ok(()) };
+    let Some(communicator) = connect(config, &place, session, stop)? else { return Ok(()) };
     writeln!(out, "[reach] this is {place}")?;
 
     // What this run is called: none before it, and none at the same time elsewhere.
@@ -178,13 +178,14 @@ fn reach(
 fn connect(
     config: zenoh::Config,
     place: &Place,
+    session: &Session,
     stop: &Stop,
 ) -> anyhow::Result<Option<Arc<Communicator>>> {
     let its = place.clone();
     let opening = std::thread::spawn(move || Communicator::open(config, its));
     let (begun_us, mut has_said) = (now_us(), false);
     while !opening.is_finished() {
-        if !stop.sleep_until(now_us() + LOOK_EVERY_US) {
+        if session.has_ended() || !stop.sleep_until(now_us() + LOOK_EVERY_US) {
             return Ok(None);
         }
         if !has_said && now_us() > begun_us + SAY_AFTER_US {

@@ -1,5 +1,6 @@
 //! Telling the bus how it goes: `reach_status`, a message for each topic and each
-//! machine, all of them once a second. `reach status` and `uorb info` read it.
+//! machine, all of them once a second; or one that says that there is none.
+//! `reach status` and `uorb info` read it.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -65,6 +66,10 @@ impl Telling {
         }));
         let seconds = (now_us - self.told_us) as f64 / 1e6;
         let count = all.len().min(u16::MAX.into()) as u16;
+        if count == 0 {
+            let nothing = ReachStatus { timestamp: now_us, ..ReachStatus::default() };
+            self.publication.publish(&nothing)?;
+        }
         for (index, status) in (0..count).zip(all) {
             let told = self.with_rates(status, seconds);
             self.publication.publish(&ReachStatus { timestamp: now_us, index, count, ..told })?;
