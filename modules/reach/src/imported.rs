@@ -34,6 +34,8 @@ pub(crate) struct Incoming {
     inheritance: Option<Inheritance>,
     /// From where the next reach is to count, should this one be killed.
     mark: Option<Mark>,
+    /// Whether that is of what is published now, not of what was before an interruption.
+    is_marked: bool,
     /// When the newest message came.
     heard_us: u64,
     /// Whether the other machine has said that it was the last.
@@ -68,6 +70,7 @@ impl Incoming {
             before: None,
             inheritance: None,
             mark: None,
+            is_marked: false,
             heard_us: 0,
             has_ended: false,
             translation: None,
@@ -88,7 +91,7 @@ impl Incoming {
             self.rest();
         }
         (self.publication, self.revision) = (Some(publication), revision);
-        (self.priority, self.translation) = (priority, translation);
+        (self.priority, self.translation, self.is_marked) = (priority, translation, false);
     }
 
     /// The priority with which it is to be published here.
@@ -150,6 +153,7 @@ impl Incoming {
         // None: the newest message again, which was sent for somebody else.
         let Some(missing) = missing_since(self.before, header.count) else { return };
         self.priority = header.priority;
+        let instance = publication.instance();
         let mut lost = missing;
         if let Some(Inheritance { published, newest }) = self.inheritance.take() {
             let none = Timestamps::default();
@@ -178,10 +182,11 @@ impl Incoming {
         self.counts.count_lost(lost.into());
         self.counts.count_message(bytes.len());
         let begins = self.before.is_none_or(|before| before.run != header.count.run);
-        if begins {
+        if begins || !self.is_marked {
             let (revision, there, here) = (self.revision, header.count, here.get());
             let lost = self.counts.lost.load(Ordering::Relaxed);
-            self.mark = Some(Mark { revision, there, here, lost });
+            self.mark = Some(Mark { revision, there, instance, here, lost });
+            self.is_marked = true;
         }
         self.before = Some(header.count);
     }

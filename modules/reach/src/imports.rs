@@ -166,19 +166,21 @@ impl Imports {
         }
         self.heard = changes;
         let advertised = self.communicator.advertised();
-        let mut revisions: BTreeMap<&Remote, u32> = BTreeMap::new();
+        let mut revisions: BTreeMap<&Remote, ((bool, bool), u32)> = BTreeMap::new();
         for (remote, revision) in &advertised {
             let Remote { place, source } = remote;
             if self.rules.import(&place.machine, &source.topic, source.instance).is_some() {
-                // Of two the new one is right, which one cannot see: asking tells.
+                // Of two the one is right that came later: the other is that of a reach
+                // which was killed, and not given up yet.
                 let is_new = !self.advertised.contains(&(remote.clone(), *revision));
-                if is_new || !revisions.contains_key(remote) {
-                    revisions.insert(remote, *revision);
-                }
+                let known = self.topics.get(remote).and_then(|import| import.revision);
+                let candidate = ((is_new, known == Some(*revision)), *revision);
+                let best = revisions.entry(remote).or_insert(candidate);
+                *best = candidate.max(*best);
             }
         }
         for (remote, import) in &mut self.topics {
-            let revision = revisions.remove(remote);
+            let revision = revisions.remove(remote).map(|(_, revision)| revision);
             if import.revision != revision {
                 // Of one that is gone the last messages may be on their way.
                 if revision.is_some_and(|revision| !import.is_here_as(revision)) {
@@ -188,10 +190,10 @@ impl Imports {
                 (import.revision, import.refused, import.try_at_us) = (revision, None, 0);
             }
         }
-        for (remote, revision) in revisions {
+        for (remote, (_, revision)) in revisions {
             let mut import = Import::new(revision);
-            if let Some(Entry { instance, mark, .. }) = self.ledger.entry(remote) {
-                import.continue_from(&self.session, remote, *instance, *mark);
+            if let Some(Entry { mark, .. }) = self.ledger.entry(remote) {
+                import.continue_from(&self.session, remote, *mark);
             }
             self.topics.insert(remote.clone(), import);
         }
@@ -238,7 +240,8 @@ impl Import {
     }
 
     /// Counts on where a reach before us was killed.
-    fn continue_from(&mut self, session: &Session, remote: &Remote, at: Instance, mark: Mark) {
+    fn continue_from(&mut self, session: &Session, remote: &Remote, mark: Mark) {
+        let at = mark.instance;
         self.last_instance = Some(at);
         let topic = &remote.source.topic;
         // Where the node is another one by now, there is nothing to count on from.
@@ -257,8 +260,7 @@ impl Import {
 
     /// What the next reach is to know of it.
     fn entry((remote, import): (&Remote, &Self)) -> Option<Entry> {
-        let (instance, mark) = (import.last_instance?, import.mark()?);
-        Some(Entry { key: remote.key(), instance, mark })
+        Some(Entry { key: remote.key(), mark: import.mark()? })
     }
 
     /// Publishes it here, as soon as it is known what its messages are.

@@ -26,7 +26,8 @@ pub(crate) struct Mark {
     pub(crate) revision: u32,
     /// A message there.
     pub(crate) there: Count,
-    /// The same message here: the low half of its generation.
+    /// The same message here: on which instance, and the low half of its generation.
+    pub(crate) instance: Instance,
     pub(crate) here: u32,
     /// What was lost before it.
     pub(crate) lost: u64,
@@ -45,7 +46,6 @@ impl Mark {
 pub(crate) struct Entry {
     /// The topic, as its key has it.
     pub(crate) key: String,
-    pub(crate) instance: Instance,
     pub(crate) mark: Mark,
 }
 
