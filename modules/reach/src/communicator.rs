@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use anyhow::anyhow;
+use uorb_core::broker_side::PACKET_MAX_BYTES;
 use uorb_core::now_us;
 use zenoh::bytes::ZBytes;
 use zenoh::handlers::Callback;
@@ -29,6 +30,9 @@ use crate::wire::About;
 /// The most topics, and subscriptions, of others that are remembered: what comes
 /// from the network has a bound.
 const HEARD_MAX: usize = 100_000;
+
+/// The longest description of a topic: the broker takes none that is longer.
+const ABOUT_MAX_BYTES: usize = PACKET_MAX_BYTES;
 
 /// How long an answer may take.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -55,7 +59,7 @@ struct Heard {
     advertised: Mutex<BTreeSet<(Remote, u32)>>,
     /// Who subscribes to topics of ours.
     wanted: Mutex<BTreeSet<Wish>>,
-    /// Answers to our questions about topics.
+    /// Answers to our questions about topics, while those are advertised.
     answers: Mutex<BTreeMap<Remote, Vec<u8>>>,
     /// What we answer about ours.
     ours: Mutex<BTreeMap<Source, Vec<u8>>>,
@@ -104,7 +108,13 @@ impl Communicator {
         let hear = move |sample: Sample| {
             let token = Remote::parse_token(sample.key_expr());
             let token = token.filter(|(remote, _)| remote.place != place);
-            heard.note(&heard.advertised, token, sample.kind());
+            heard.note(&heard.advertised, token.clone(), sample.kind());
+            if let Some((remote, _)) = &token {
+                let mut answers = lock(&heard.answers);
+                if !heard.is_advertised(remote) {
+                    answers.remove(remote);
+                }
+            }
         };
         let tokens = session.liveliness().declare_subscriber(Remote::ALL_TOKENS);
         tokens.history(true).callback(hear).background().wait()?;
@@ -186,8 +196,8 @@ impl Communicator {
         source: &Source,
         crossing: Crossing,
     ) -> anyhow::Result<Publisher<'static>> {
-        // Each has a queue of its own in zenoh, so none of them waits for another. What
-        // is dropped where there is no room goes before what waits.
+        // Each kind has a queue of its own in zenoh, so what is dropped where there is no
+        // room goes before what waits. Of those that wait each waits for the one before it.
         let (priority, congestion) = match crossing {
             Crossing::BestEffort => (Priority::DataHigh, CongestionControl::Drop),
             Crossing::Reliable => (Priority::Data, CongestionControl::Block),
@@ -203,7 +213,7 @@ impl Communicator {
         let (heard, key) = (self.heard.clone(), remote.clone());
         self.ask(&remote.about(), move |answer| {
             let mut answers = lock(&heard.answers);
-            if answers.len() < HEARD_MAX {
+            if answer.len() <= ABOUT_MAX_BYTES && heard.is_advertised(&key) {
                 answers.insert(key.clone(), answer.to_vec());
             }
         })
@@ -264,6 +274,12 @@ impl Communicator {
 }
 
 impl Heard {
+    fn is_advertised(&self, remote: &Remote) -> bool {
+        let advertised = lock(&self.advertised);
+        let mut its = advertised.range((remote.clone(), u32::MIN)..);
+        its.next().is_some_and(|(first, _)| first == remote)
+    }
+
     /// Keeps a set as tokens come and go.
     fn note<T: Ord>(&self, set: &Mutex<BTreeSet<T>>, token: Option<T>, kind: SampleKind) {
         let Some(token) = token else { return };

@@ -23,6 +23,10 @@ use crate::wire::{About, NotSound};
 /// How often something that failed is tried again.
 const TRY_AGAIN_US: u64 = 1_000_000;
 
+/// The most topics of others that are had here at once, those that are gone included: half
+/// as many as the broker has room for.
+const IMPORTS_MAX: usize = 4_096;
+
 /// How often another machine is asked what time it is; and at first.
 const CLOCK_EVERY_US: u64 = 1_000_000;
 const CLOCK_AT_FIRST_US: u64 = 100_000;
@@ -40,6 +44,8 @@ pub(crate) struct Imports {
     /// How much of what others have has been heard.
     heard: u64,
     ledger: Ledger,
+    /// Whether it has said that there is no room for more topics.
+    is_full: bool,
     /// What is in the ledger, of each topic.
     marks: Vec<Option<Mark>>,
 }
@@ -104,6 +110,7 @@ impl Imports {
             advertised: BTreeSet::new(),
             heard: 0,
             ledger,
+            is_full: false,
             marks: Vec::new(),
         }
     }
@@ -154,8 +161,8 @@ impl Imports {
         }
         self.marks = marks;
         let entries = self.topics.iter().filter_map(Import::entry).collect();
-        let is_known = |key: &str| self.topics.keys().any(|remote| remote.key() == key);
-        self.ledger.note(entries, is_known);
+        let known: BTreeSet<String> = self.topics.keys().map(Remote::key).collect();
+        self.ledger.note(entries, &known);
     }
 
     /// Compares what is advertised with what was.
@@ -190,13 +197,31 @@ impl Imports {
                 (import.revision, import.refused, import.try_at_us) = (revision, None, 0);
             }
         }
+        if self.topics.len() + revisions.len() > IMPORTS_MAX {
+            // What is gone makes room: the ledger has from where it counted.
+            self.topics.retain(|_, import| import.revision.is_some() || import.here.is_some());
+        }
+        let mut is_full = false;
         for (remote, (_, revision)) in revisions {
+            if self.topics.len() >= IMPORTS_MAX {
+                if !is_full && !self.is_full {
+                    eprintln!(
+                        "reach: {remote} is refused: {IMPORTS_MAX} topics of others are here, \
+                         and no more"
+                    );
+                }
+                is_full = true;
+                continue;
+            }
             let mut import = Import::new(revision);
             if let Some(Entry { mark, .. }) = self.ledger.entry(remote) {
                 import.continue_from(&self.session, remote, *mark);
             }
             self.topics.insert(remote.clone(), import);
         }
+        self.is_full = is_full;
+        let places: BTreeSet<&Place> = self.topics.keys().map(|remote| &remote.place).collect();
+        self.machines.retain(|place, _| places.contains(place));
         self.machines.values_mut().for_each(|machine| machine.is_there = false);
         for (remote, import) in &self.topics {
             if import.revision.is_some() {

@@ -6,6 +6,7 @@
 //! here: whatever has come since, so many are missing as there were more there than
 //! here. The pair is noted when counting begins, which is seldom.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
@@ -18,6 +19,9 @@ use crate::wire::Count;
 
 /// So many numbers of those before us are kept.
 const PEERS_MAX: usize = 64;
+
+/// So many topics are noted, those included that have been gone for a while.
+const ENTRIES_MAX: usize = 8_192;
 
 /// From where a topic is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -106,12 +110,10 @@ impl Ledger {
         self.notes.entries.iter().find(|entry| entry.key == key)
     }
 
-    /// Notes what there is now, if it is not what there was. What the reach before us
-    /// has left stays for topics that have not come back yet.
-    pub(crate) fn note(&mut self, mut entries: Vec<Entry>, is_known: impl Fn(&str) -> bool) {
-        let before = &self.notes.entries;
-        entries.extend(before.iter().filter(|entry| !is_known(&entry.key)).cloned());
-        if entries != *before {
+    /// Notes what there is now of the topics that are known, if it is not what there was.
+    pub(crate) fn note(&mut self, entries: Vec<Entry>, known: &BTreeSet<String>) {
+        let entries = with_gone(entries, &self.notes.entries, known);
+        if entries != self.notes.entries {
             self.notes.entries = entries;
             self.write();
         }
@@ -122,5 +124,36 @@ impl Ledger {
         // Where it cannot be written, the next one counts from its own beginning.
         let _ = fs::write(&self.unfinished, text)
             .and_then(|()| fs::rename(&self.unfinished, &self.path));
+    }
+}
+
+/// What was noted before stays for topics that are gone. Behind those that are there are
+/// those that went last, so that the oldest find no room.
+fn with_gone(mut entries: Vec<Entry>, before: &[Entry], known: &BTreeSet<String>) -> Vec<Entry> {
+    entries.extend(before.iter().filter(|entry| !known.contains(&entry.key)).cloned());
+    entries.truncate(ENTRIES_MAX);
+    entries
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(key: usize) -> Entry {
+        let there = Count { run: 1, generation: 2, left_out: 0 };
+        let mark = Mark { revision: 3, there, instance: Instance::FIRST, here: 4, lost: 0 };
+        Entry { key: key.to_string(), mark }
+    }
+
+    #[test]
+    fn topics_that_are_gone_stay_noted_until_newer_ones_need_the_room() {
+        let mut entries = Vec::new();
+        for key in 0..ENTRIES_MAX + 2 {
+            let known = BTreeSet::from([key.to_string()]);
+            entries = with_gone(vec![entry(key)], &entries, &known);
+        }
+        assert_eq!(entries.len(), ENTRIES_MAX);
+        assert_eq!(entries[0], entry(ENTRIES_MAX + 1));
+        assert_eq!(entries[ENTRIES_MAX - 1], entry(2), "0 and 1 are the oldest");
     }
 }
