@@ -2,6 +2,8 @@
 //! meet at a port of this one.
 
 use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use nix::sys::signal::Signal;
@@ -49,6 +51,11 @@ pub(crate) fn says(bus: &Bus, kind: &str, topic: &str, what: &str, value: impl I
 pub(crate) fn look(bus: &Bus, topic: &str, number: u8) -> Option<NodeStatus> {
     let node = Node::open(&bus.system, topic, instance(number), Role::Observer).ok()?;
     Some(node.status())
+}
+
+/// Whether it has a publisher: a node is there before its ring and its publisher are.
+fn is_published(bus: &Bus, topic: &str, number: u8) -> bool {
+    look(bus, topic, number).is_some_and(|node| !node.publishers.is_empty())
 }
 
 fn subscribers(bus: &Bus, topic: &str) -> u64 {
@@ -123,6 +130,46 @@ fn a_topic_crosses_while_somebody_over_there_subscribes_and_not_a_message_longer
 }
 
 #[test]
+fn publishers_that_come_and_go_with_other_priorities_cost_no_message() {
+    let ([mut a, mut b], _reaches) = two("*,reliable", "a/*");
+    let mut stamped = a.advertise::<Stamped>();
+    stamped.publish(&Stamped::new(1, 7)).unwrap();
+    eventually("it is advertised there", || b.is_advertised("stamped"));
+    let mut there = b.stream::<Stamped>();
+    assert_eq!(next(&mut there).count, 1);
+    let has_ended = Arc::new(AtomicBool::new(false));
+    let its_end = has_ended.clone();
+    let publishing = std::thread::spawn(move || {
+        let mut count = 1;
+        while !its_end.load(Ordering::Relaxed) {
+            count += 1;
+            publish(&mut stamped, count);
+        }
+        (stamped, count)
+    });
+    let has_priority = |expected| {
+        eventually("it has this priority there", || {
+            let node = look(&b, "stamped", 0).expect("it is there");
+            node.publishers.last().is_some_and(|entry| entry.priority == expected)
+        });
+    };
+
+    for _ in 0..5 {
+        let options = AdvertiseOptions { priority: Priority::VERY_HIGH, ..Default::default() };
+        let second = Publication::<Stamped>::advertise_with(&a.session(), options).unwrap();
+        has_priority(Priority::VERY_HIGH);
+        drop(second);
+        has_priority(Priority::DEFAULT);
+    }
+    has_ended.store(true, Ordering::Relaxed);
+    let (_stamped, published) = publishing.join().unwrap();
+
+    says(&b, "import", "stamped", "messages", published);
+    assert_eq!(look(&b, "stamped", 0).unwrap().published, published);
+    says(&b, "import", "stamped", "lost", 0);
+}
+
+#[test]
 fn a_late_joiner_has_the_newest_message_on_whichever_machine_it_is() {
     let ([mut a, mut b], _reaches) = two("*", "a/*");
     let mut plain = a.advertise::<Plain>();
@@ -181,10 +228,8 @@ fn what_there_is_to_know_of_a_topic_crosses_with_it() {
     let mut third = Publication::<Stamped>::advertise_with(&a.session(), options).unwrap();
     third.publish(&Stamped::new(1, 1)).unwrap();
 
-    // The node is there before its ring and its publisher are.
-    let advertised = |bus: &Bus| look(bus, "stamped", 1).filter(|node| !node.publishers.is_empty());
-    eventually("it has the next instance", || advertised(&b).is_some());
-    let there = advertised(&b).unwrap();
+    eventually("it has the next instance", || is_published(&b, "stamped", 1));
+    let there = look(&b, "stamped", 1).unwrap();
     assert_eq!(there.queue_length, QueueLength::new(16));
     assert_eq!(there.publishers[0].priority, Priority::VERY_HIGH);
     let metadata = b.session().describe("stamped").unwrap();
@@ -276,7 +321,7 @@ fn a_topic_that_a_local_publisher_has_joined_is_sent_on_without_what_came_in() {
     // Theirs joins the instance on which ours comes in.
     let mut theirs = b.advertise::<Plain>();
     let mut back = Vec::new();
-    eventually("theirs is advertised here", || look(&a, "plain", 1).is_some());
+    eventually("theirs is advertised here", || is_published(&a, "plain", 1));
     let session = a.session();
     let mut follow = StreamSubscription::<Plain>::subscribe_with(
         &session,
@@ -298,6 +343,35 @@ fn a_topic_that_a_local_publisher_has_joined_is_sent_on_without_what_came_in() {
     says(&a, "import", "plain", "messages", 10);
     // What was ours is not missing.
     says(&a, "import", "plain", "lost", 0);
+}
+
+#[test]
+fn what_a_reach_that_was_killed_had_brought_in_is_not_sent_back_by_the_next_one() {
+    let (mut a, mut b) = (Bus::start(), Bus::start());
+    let at = endpoint();
+    let all = ["--export", "*,reliable", "--import", "*/*"];
+    let _a = reach(&a, "a", &[&["--listen", &at], &all[..]].concat());
+    let mut ours = a.advertise::<Plain>();
+    let connecting = [&["--connect", &at], &all[..]].concat();
+    let mut first = reach(&b, "b", &connecting);
+    eventually("it is advertised there", || b.is_advertised("plain"));
+    let mut both = b.stream::<Plain>();
+    ours.publish(&Plain { value: 1 }).unwrap();
+    assert_eq!(next(&mut both), Plain { value: 1 });
+    first.kill();
+    // Somebody there joins the instance, whose newest message is the one from here.
+    let mut theirs = b.advertise::<Plain>();
+
+    let _next = reach(&b, "b", &connecting);
+
+    eventually("theirs is advertised here", || is_published(&a, "plain", 1));
+    let session = a.session();
+    let options = uorb_core::StreamOptions::default();
+    let mut back =
+        StreamSubscription::<Plain>::subscribe_with(&session, instance(1), options).unwrap();
+    followed(&b, "plain", 0, 2);
+    theirs.publish(&Plain { value: 100 }).unwrap();
+    assert_eq!(next(&mut back), Plain { value: 100 });
 }
 
 #[test]
@@ -344,41 +418,84 @@ fn the_highest_rate_that_anybody_wants_crosses_and_not_more() {
     let _b = reach(&b, "b", &["--connect", &at, "--import", "a/*:20"]);
     let _c = reach(&c, "c", &["--connect", &at, "--import", "a/*:50"]);
     let mut stamped = a.advertise::<Stamped>();
-    let mut publish_for = |seconds: u64| {
-        let (begun_us, count) = (now_us(), seconds * PUBLISHED_HZ);
-        for tick in 0..count {
+    // Publishes until so many messages in a row have come at this rate, by the stamps that
+    // the sender wrote: whoever is held up only takes longer.
+    let mut crosses_at = |stream: &mut StreamSubscription<Stamped>, hz: f64| {
+        const IN_A_ROW: usize = 40;
+        while stream.update().is_some() {}
+        let (begun_us, mut sent_us) = (now_us(), Vec::new());
+        for tick in 0.. {
             let due_us = begun_us + tick * 1_000_000 / PUBLISHED_HZ;
-            let rest_us = due_us.saturating_sub(now_us());
-            std::thread::sleep(Duration::from_micros(rest_us));
+            std::thread::sleep(Duration::from_micros(due_us.saturating_sub(now_us())));
             stamped.publish(&Stamped::new(tick, now_us())).unwrap();
+            while let Some(message) = stream.update() {
+                sent_us.push(message.sender);
+            }
+            let took_s = (now_us() - begun_us) as f64 / 1e6;
+            // One of before, the first one, and one on its way.
+            assert!(sent_us.len() as f64 <= hz * took_s + 3.0, "{sent_us:?}");
+            assert!(took_s < PATIENCE.as_secs_f64(), "never at {hz} Hz: {sent_us:?}");
+            if let [.., last] = sent_us[..]
+                && let Some(before) = sent_us.iter().rev().nth(IN_A_ROW)
+            {
+                let its_hz = IN_A_ROW as f64 * 1e6 / (last - before) as f64;
+                if (its_hz - hz).abs() <= hz / 20.0 {
+                    break;
+                }
+            }
         }
-    };
-    // By the stamps that the sender wrote: how many a second there are among what came.
-    let rate_hz = |stream: &mut StreamSubscription<Stamped>| {
-        let mut sent_us = Vec::new();
-        while let Some(message) = stream.update() {
-            sent_us.push(message.sender);
-        }
-        let (first, last) = (sent_us[0], sent_us[sent_us.len() - 1]);
-        (sent_us.len() - 1) as f64 * 1e6 / (last - first) as f64
     };
     for bus in [&mut b, &mut c] {
         eventually("it is advertised there", || bus.is_advertised("stamped"));
     }
     let mut slow = b.stream::<Stamped>();
     eventually("it is asked for", || subscribers(&a, "stamped") == 1);
-    publish_for(4);
-    let alone_hz = rate_hz(&mut slow);
-    assert!((alone_hz - 20.0).abs() <= 1.0, "{alone_hz} Hz");
+    crosses_at(&mut slow, 20.0);
 
     let _fast = c.stream::<Stamped>();
     says(&a, "export", "stamped", "machines", 2);
-    publish_for(4);
-    slow.update();
-    let both_hz = rate_hz(&mut slow);
-    assert!((both_hz - 50.0).abs() <= 2.5, "{both_hz} Hz");
+    crosses_at(&mut slow, 50.0);
     // Nobody wanted the others.
     says(&b, "import", "stamped", "lost", 0);
+}
+
+#[test]
+fn nothing_is_lost_where_one_wants_a_rate_and_others_who_come_and_go_want_everything() {
+    let (mut a, mut b, mut c) = (Bus::start(), Bus::start(), Bus::start());
+    let at = endpoint();
+    let _a = reach(&a, "a", &["--listen", &at, "--export", "*,reliable"]);
+    let _b = reach(&b, "b", &["--connect", &at, "--import", "a/*:50"]);
+    let _c = reach(&c, "c", &["--connect", &at, "--import", "a/*"]);
+    let mut stamped = a.advertise::<Stamped>();
+    stamped.publish(&Stamped::new(0, 7)).unwrap();
+    for bus in [&mut b, &mut c] {
+        eventually("it is advertised there", || bus.is_advertised("stamped"));
+    }
+    let mut slow = b.stream::<Stamped>();
+    next(&mut slow);
+
+    let mut count = 0;
+    for _ in 0..5 {
+        let mut all = c.stream::<Stamped>();
+        followed(&a, "stamped", 0, 1);
+        // The newest of all, behind the newest that it had.
+        while next(&mut all).count < count {}
+        for _ in 0..100 {
+            count += 1;
+            publish(&mut stamped, count);
+            assert_eq!(next(&mut all).count, count);
+        }
+        drop(all);
+        followed(&a, "stamped", 0, 0);
+        // While there is only the rate.
+        for _ in 0..100 {
+            count += 1;
+            publish(&mut stamped, count);
+        }
+        while next(&mut slow).count < count {}
+    }
+    says(&b, "import", "stamped", "lost", 0);
+    says(&c, "import", "stamped", "lost", 0);
 }
 
 #[test]
@@ -413,6 +530,40 @@ fn what_was_published_while_nobody_could_send_it_is_counted_and_the_newest_comes
 }
 
 #[test]
+fn of_two_that_begin_at_the_same_time_one_runs() {
+    let bus = Bus::start();
+    let listen = ["--listen", "tcp/127.0.0.1:0", "--export", "*"];
+    for _ in 0..10 {
+        let mut two = [0, 1].map(|_| bus.spawn_heard("reach", &listen));
+        // Its first line, or none where it has given way.
+        let said = two.each_mut().map(Actor::line);
+        assert_eq!(said.iter().flatten().count(), 1, "{said:?}");
+        for (reach, said) in two.iter_mut().zip(&said) {
+            match said {
+                Some(_) => reach.kill(),
+                None => reach.end().failed(&["runs on this system already"]),
+            }
+        }
+    }
+}
+
+#[test]
+fn whoever_waits_to_be_let_in_says_so_and_ends_with_the_system() {
+    let mut bus = Bus::start();
+    let nobody = endpoint();
+    let mut waiting = bus.spawn_heard("reach", &["--connect", &nobody, "--export", "*"]);
+    let words = waiting.word().expect("it says that it waits");
+    assert!(words.contains("nobody lets "), "{words}");
+    bus.spawn_heard("reach", &["status"]).end().failed(&["nobody has let it in yet"]);
+
+    bus.stop();
+
+    let ended = waiting.end();
+    assert_eq!(ended.code, 0, "{}", ended.words);
+    assert!(ended.words.contains("has ended"), "{}", ended.words);
+}
+
+#[test]
 fn there_is_one_reach_on_a_system_and_it_says_what_it_lacks() {
     let bus = Bus::start();
     let at = endpoint();
@@ -425,7 +576,9 @@ fn there_is_one_reach_on_a_system_and_it_says_what_it_lacks() {
     first.kill();
     let mut next = reach(&bus, "a", &["--listen", &at, "--export", "*"]);
     let status = bus.spawn_heard("reach", &["status"]).end().fine();
-    assert!(status.starts_with("WAY "), "{status}");
+    assert!(status.starts_with("WAY ") && status.lines().count() == 1, "{status}");
+    let status = bus.uorb(&["info", "reach_status"]).fine();
+    assert!(!status.contains("  reach  "), "{status}");
     next.signal(Signal::SIGTERM);
     assert_eq!(next.end().code, 0);
     bus.spawn_heard("reach", &["status"]).end().failed(&["no reach runs here"]);

@@ -45,10 +45,14 @@ impl Clock {
     pub(crate) fn learn(&mut self, asked_us: u64, theirs_us: u64, answered_us: u64) {
         let Some(round_trip_us) = answered_us.checked_sub(asked_us) else { return };
         let at_us = asked_us + round_trip_us / 2;
+        // An answer that was overtaken by a later one says nothing new.
+        if self.answers.back().is_some_and(|last| at_us <= last.at_us) {
+            return;
+        }
         let offset_us = theirs_us.wrapping_sub(at_us) as i64;
         let jumped = self.answers.back().is_some_and(|last| {
             let apart_us = last.offset_us.abs_diff(offset_us);
-            apart_us > (last.round_trip_us + round_trip_us) / 2 + 1_000_000
+            apart_us > last.round_trip_us.saturating_add(round_trip_us) / 2 + 1_000_000
         });
         if jumped {
             // The other machine was started anew.
@@ -70,7 +74,7 @@ impl Clock {
         let best = self.answers.iter().min_by_key(|answer| uncertainty_us(answer))?;
         let since_us = at_us as f64 - best.at_us as f64;
         Some(Difference {
-            offset_us: best.offset_us + (since_us * drift_ppm * 1e-6).round() as i64,
+            offset_us: best.offset_us.saturating_add((since_us * drift_ppm * 1e-6).round() as i64),
             uncertainty_us: uncertainty_us(best),
             drift_ppm,
             round_trip_us: best.round_trip_us,
@@ -87,12 +91,12 @@ impl Clock {
         let (Some(from), Some(to)) = (best(older), best(newer)) else {
             return (0.0, DRIFT_MAX_PPM);
         };
-        let time_us = (to.at_us - from.at_us) as f64;
+        let time_us = to.at_us.saturating_sub(from.at_us) as f64;
         let doubt_ppm = (from.round_trip_us + to.round_trip_us) as f64 / 2.0 / time_us * 1e6;
         if doubt_ppm >= DRIFT_MAX_PPM {
             return (0.0, DRIFT_MAX_PPM);
         }
-        let moved_us = (to.offset_us - from.offset_us) as f64;
+        let moved_us = to.offset_us.saturating_sub(from.offset_us) as f64;
         let drift_ppm = (moved_us / time_us * 1e6).clamp(-DRIFT_MAX_PPM, DRIFT_MAX_PPM);
         (drift_ppm, doubt_ppm)
     }
@@ -141,5 +145,22 @@ mod tests {
         let known = clock.difference(30_000_200).unwrap();
         assert_eq!(known.offset_us, 5_000_000 - 30_000_200);
         assert_eq!(Clock::default().difference(0), None);
+    }
+
+    #[test]
+    fn answers_that_come_out_of_order_or_are_absurd_do_no_harm() {
+        let mut clock = Clock::default();
+        clock.learn(1_000_000, 1_500_000, 1_000_400);
+        clock.learn(2_000_000, 2_500_000, 2_000_400);
+        let known = clock.difference(2_000_200);
+        clock.learn(0, 500_000, 1_500_000);
+        clock.learn(2_000_000, 9_500_000, 2_000_400);
+        assert_eq!(clock.difference(2_000_200), known, "not later than what is known");
+        // Whatever another machine says, within a jump of both ends of time.
+        for theirs_us in [u64::MAX / 2 + 3_000_000, u64::MAX / 2 + 4_900_000, 0, u64::MAX] {
+            let asked_us = clock.answers.back().unwrap().at_us + 1_000_000;
+            clock.learn(asked_us, theirs_us, asked_us + 400);
+            clock.difference(u64::MAX).unwrap();
+        }
     }
 }

@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use anyhow::anyhow;
+use uorb_core::broker_side::PACKET_MAX_BYTES;
 use uorb_core::now_us;
 use zenoh::bytes::ZBytes;
 use zenoh::handlers::Callback;
@@ -29,6 +30,9 @@ use crate::wire::About;
 /// The most topics, and subscriptions, of others that are remembered: what comes
 /// from the network has a bound.
 const HEARD_MAX: usize = 100_000;
+
+/// The longest description of a topic: the broker takes none that is longer.
+const ABOUT_MAX_BYTES: usize = PACKET_MAX_BYTES;
 
 /// How long an answer may take.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -55,7 +59,7 @@ struct Heard {
     advertised: Mutex<BTreeSet<(Remote, u32)>>,
     /// Who subscribes to topics of ours.
     wanted: Mutex<BTreeSet<Wish>>,
-    /// Answers to our questions about topics.
+    /// Answers to our questions about topics, while those are advertised.
     answers: Mutex<BTreeMap<Remote, Vec<u8>>>,
     /// What we answer about ours.
     ours: Mutex<BTreeMap<Source, Vec<u8>>>,
@@ -104,7 +108,13 @@ impl Communicator {
         let hear = move |sample: Sample| {
             let token = Remote::parse_token(sample.key_expr());
             let token = token.filter(|(remote, _)| remote.place != place);
-            heard.note(&heard.advertised, token, sample.kind());
+            heard.note(&heard.advertised, token.clone(), sample.kind());
+            if let Some((remote, _)) = &token {
+                let mut answers = lock(&heard.answers);
+                if !heard.is_advertised(remote) {
+                    answers.remove(remote);
+                }
+            }
         };
         let tokens = session.liveliness().declare_subscriber(Remote::ALL_TOKENS);
         tokens.history(true).callback(hear).background().wait()?;
@@ -142,25 +152,29 @@ impl Communicator {
         source: &Source,
         about: &About,
     ) -> anyhow::Result<Advertised> {
-        lock(&self.heard.ours).insert(source.clone(), about.encode());
+        self.describe(source, about);
         let token = self.ours(source).token(about.revision());
         let token = self.session.liveliness().declare_token(token).wait().map_err(words)?;
         Ok(Advertised { _token: token, source: source.clone(), heard: self.heard.clone() })
     }
 
+    /// Answers this from now on to who asks about a topic of ours.
+    pub(crate) fn describe(&self, source: &Source, about: &About) {
+        lock(&self.heard.ours).insert(source.clone(), about.encode());
+    }
+
     /// uORBCommunicator's `add_subscription`: asks for a topic of another machine, at
     /// this rate at most (None: for every message). `received` is called on a thread of
-    /// zenoh's, and is not to wait.
+    /// zenoh's, and is not to wait. None: it was the last message for now.
     pub(crate) fn add_subscription(
         &self,
         remote: &Remote,
         rate_mhz: Option<u32>,
-        received: impl Fn(&[u8]) + Send + Sync + 'static,
+        received: impl Fn(Option<&[u8]>) + Send + Sync + 'static,
     ) -> anyhow::Result<Added> {
-        let receive = move |sample: Sample| {
-            if sample.kind() == SampleKind::Put {
-                received(&sample.payload().to_bytes());
-            }
+        let receive = move |sample: Sample| match sample.kind() {
+            SampleKind::Put => received(Some(&sample.payload().to_bytes())),
+            SampleKind::Delete => received(None),
         };
         let subscriber =
             self.session.declare_subscriber(remote.key()).with(Callback::from(receive)).wait();
@@ -182,8 +196,8 @@ impl Communicator {
         source: &Source,
         crossing: Crossing,
     ) -> anyhow::Result<Publisher<'static>> {
-        // Each has a queue of its own in zenoh, so none of them waits for another. What
-        // is dropped where there is no room goes before what waits.
+        // Each kind has a queue of its own in zenoh, so what is dropped where there is no
+        // room goes before what waits. Of those that wait each waits for the one before it.
         let (priority, congestion) = match crossing {
             Crossing::BestEffort => (Priority::DataHigh, CongestionControl::Drop),
             Crossing::Reliable => (Priority::Data, CongestionControl::Block),
@@ -199,7 +213,7 @@ impl Communicator {
         let (heard, key) = (self.heard.clone(), remote.clone());
         self.ask(&remote.about(), move |answer| {
             let mut answers = lock(&heard.answers);
-            if answers.len() < HEARD_MAX {
+            if answer.len() <= ABOUT_MAX_BYTES && heard.is_advertised(&key) {
                 answers.insert(key.clone(), answer.to_vec());
             }
         })
@@ -260,6 +274,12 @@ impl Communicator {
 }
 
 impl Heard {
+    fn is_advertised(&self, remote: &Remote) -> bool {
+        let advertised = lock(&self.advertised);
+        let mut its = advertised.range((remote.clone(), u32::MIN)..);
+        its.next().is_some_and(|(first, _)| first == remote)
+    }
+
     /// Keeps a set as tokens come and go.
     fn note<T: Ord>(&self, set: &Mutex<BTreeSet<T>>, token: Option<T>, kind: SampleKind) {
         let Some(token) = token else { return };
@@ -277,4 +297,10 @@ impl Heard {
 /// receives the next one.
 pub(crate) fn send_message(sender: &Publisher<'_>, message: ZBytes) {
     let _ = sender.put(message).wait();
+}
+
+/// Says behind the last message that it was the last. Word of a token would be there
+/// before it.
+pub(crate) fn send_end(sender: &Publisher<'_>) {
+    let _ = sender.delete().wait();
 }

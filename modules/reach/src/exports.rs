@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::SystemTime;
 
 use anyhow::Context;
@@ -13,12 +14,10 @@ use uorb_msg::ReachStatus;
 use crate::communicator::{Advertised, Communicator};
 use crate::counts::Counts;
 use crate::keys::{Place, Source, Wish};
+use crate::ledger::BroughtIn;
 use crate::outgoing::{Order, Orders, Outgoing};
 use crate::rules::{Crossing, Rules};
 use crate::wire::About;
-
-/// How long the last messages of a topic may be on their way.
-const LAST_MESSAGES_US: u64 = 500_000;
 
 /// How often to look for new topics, whatever a directory's time says.
 const LIST_EVERY_US: u64 = 200_000;
@@ -43,8 +42,8 @@ pub(crate) struct Export {
     node: Node,
     /// None: nobody publishes it, and has not for a while.
     advertised: Option<(About, Advertised)>,
-    /// Since when nobody does.
-    silent_since_us: Option<u64>,
+    /// Nobody publishes it any more; and whether its last messages have left.
+    ending: Option<Arc<AtomicBool>>,
     /// Those who want it.
     pub(crate) wanted_by: BTreeSet<Place>,
     newcomers: u32,
@@ -56,10 +55,11 @@ impl Exports {
         session: &Session,
         communicator: &Arc<Communicator>,
         rules: &Arc<Rules>,
-        run: u32,
+        (run, brought_in): (u32, &BroughtIn),
     ) -> anyhow::Result<Self> {
         let start = |name| {
-            Outgoing::start(name, session, communicator, run).context("cannot start a thread")
+            let started = Outgoing::start(name, session, communicator, (run, brought_in.clone()));
+            started.context("cannot start a thread")
         };
         Ok(Self {
             session: session.clone(),
@@ -85,7 +85,18 @@ impl Exports {
         let ours = self.session.peer();
         for (source, export) in &mut self.topics {
             let about = export.about(ours);
-            if export.is_as_told(about.as_ref()) {
+            let was_ending = export.ending.is_some();
+            let is_as_told = export.is_as_told(about.as_ref());
+            self.must_order |= !is_as_told || was_ending != export.ending.is_some();
+            if is_as_told {
+                continue;
+            }
+            if let (Some(about), Some((told, _))) = (&about, &mut export.advertised)
+                && about.revision() == told.revision()
+            {
+                // Another priority, which comes with the next message.
+                self.communicator.describe(source, about);
+                told.clone_from(about);
                 continue;
             }
             export.advertised = None;
@@ -93,7 +104,6 @@ impl Exports {
                 let advertised = self.communicator.topic_advertised(source, &about)?;
                 export.advertised = Some((about, advertised));
             }
-            self.must_order = true;
         }
         self.hear_wishes();
         Ok(())
@@ -124,8 +134,8 @@ impl Exports {
             // It may be gone again.
             let Ok(node) = node else { continue };
             let (wanted_by, counts) = (BTreeSet::new(), Arc::default());
-            let (advertised, silent_since_us, newcomers) = (None, None, 0);
-            let export = Export { node, advertised, silent_since_us, wanted_by, newcomers, counts };
+            let (advertised, ending, newcomers) = (None, None, 0);
+            let export = Export { node, advertised, ending, wanted_by, newcomers, counts };
             self.topics.insert(source, export);
         }
         Ok(())
@@ -166,6 +176,7 @@ impl Exports {
                 crossing: rule.crossing,
                 rate_mhz: highest(rates, rule.rate_hz.map(to_mhz)),
                 newcomers: export.newcomers,
+                ending: export.ending.clone(),
                 counts: export.counts.clone(),
             };
             Some((source.clone(), order))
@@ -187,14 +198,14 @@ impl Export {
     }
 
     /// Whether others know of it what there is to know. That its publisher has gone
-    /// is told a little later: word of it is faster than its last messages.
+    /// is told when its last messages have left, to those who want them.
     fn is_as_told(&mut self, about: Option<&About>) -> bool {
         if about.is_some() || self.advertised.is_none() {
-            self.silent_since_us = None;
+            self.ending = None;
             return about == self.advertised.as_ref().map(|(about, _)| about);
         }
-        let since_us = *self.silent_since_us.get_or_insert_with(now_us);
-        now_us() < since_us + LAST_MESSAGES_US
+        let have_left = self.ending.get_or_insert_default().load(Ordering::Relaxed);
+        !have_left && !self.wanted_by.is_empty()
     }
 
     pub(crate) fn is_advertised(&self) -> bool {

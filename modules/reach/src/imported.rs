@@ -7,7 +7,7 @@
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
-use uorb_core::{RawPublication, now_us};
+use uorb_core::{Priority, RawPublication, now_us};
 
 use crate::clock::Clock;
 use crate::communicator::lock;
@@ -16,18 +16,30 @@ use crate::ledger::Mark;
 use crate::translate::Timestamps;
 use crate::wire::{Count, Header};
 
+/// How long the last messages of a topic may be on their way: word that it has gone
+/// overtakes what waits for room on the link.
+const LAST_MESSAGES_US: u64 = 2_000_000;
+
 /// The end of a topic at which messages come in.
 #[derive(Debug)]
 pub(crate) struct Incoming {
     /// None: the other machine does not have it now.
     publication: Option<RawPublication>,
     revision: u32,
+    /// That of its publisher over there, as the newest message says.
+    priority: Priority,
     /// The message before. None: what comes next begins the count.
     before: Option<Count>,
     /// What a reach before us has left here, until a message comes.
     inheritance: Option<Inheritance>,
     /// From where the next reach is to count, should this one be killed.
     mark: Option<Mark>,
+    /// Whether that is of what is published now, not of what was before an interruption.
+    is_marked: bool,
+    /// When the newest message came.
+    heard_us: u64,
+    /// Whether the other machine has said that it was the last.
+    has_ended: bool,
     translation: Option<Translation>,
     message: Vec<u8>,
     counts: Arc<Counts>,
@@ -54,9 +66,13 @@ impl Incoming {
         Self {
             publication: None,
             revision: 0,
+            priority: Priority::DEFAULT,
             before: None,
             inheritance: None,
             mark: None,
+            is_marked: false,
+            heard_us: 0,
+            has_ended: false,
             translation: None,
             message: Vec::new(),
             counts,
@@ -67,7 +83,7 @@ impl Incoming {
     pub(crate) fn open(
         &mut self,
         publication: RawPublication,
-        revision: u32,
+        (revision, priority): (u32, Priority),
         translation: Option<Translation>,
     ) {
         if self.revision != revision {
@@ -75,7 +91,17 @@ impl Incoming {
             self.rest();
         }
         (self.publication, self.revision) = (Some(publication), revision);
-        self.translation = translation;
+        (self.priority, self.translation, self.is_marked) = (priority, translation, false);
+    }
+
+    /// The priority with which it is to be published here.
+    pub(crate) fn priority(&self) -> Priority {
+        self.priority
+    }
+
+    /// Publishes from the next message on with another publication. Returns the old one.
+    pub(crate) fn publish_with(&mut self, publication: RawPublication) -> Option<RawPublication> {
+        self.publication.replace(publication)
     }
 
     /// The other machine does not have it any more, or is out of reach. What is
@@ -101,9 +127,21 @@ impl Incoming {
         self.mark
     }
 
+    /// It was the last message for now.
+    pub(crate) fn end(&mut self) {
+        self.has_ended = true;
+    }
+
+    /// Whether the last messages of a topic that has gone there are here: the other
+    /// machine says so behind them, or else, if it cannot, nothing comes any more.
+    pub(crate) fn is_over(&self, gone_us: u64) -> bool {
+        self.has_ended || now_us() > self.heard_us.max(gone_us) + LAST_MESSAGES_US
+    }
+
     /// uORBCommunicator's `process_received_message`.
     pub(crate) fn process_received_message(&mut self, bytes: &[u8]) {
         let Some(publication) = &mut self.publication else { return };
+        (self.heard_us, self.has_ended) = (now_us(), false);
         let decoded = Header::decode(bytes).filter(|(header, message)| {
             let size_bytes = publication.metadata().layout.size_bytes as usize;
             header.revision == self.revision && message.len() == size_bytes
@@ -114,6 +152,8 @@ impl Incoming {
         };
         // None: the newest message again, which was sent for somebody else.
         let Some(missing) = missing_since(self.before, header.count) else { return };
+        self.priority = header.priority;
+        let instance = publication.instance();
         let mut lost = missing;
         if let Some(Inheritance { published, newest }) = self.inheritance.take() {
             let none = Timestamps::default();
@@ -142,10 +182,11 @@ impl Incoming {
         self.counts.count_lost(lost.into());
         self.counts.count_message(bytes.len());
         let begins = self.before.is_none_or(|before| before.run != header.count.run);
-        if begins {
+        if begins || !self.is_marked {
             let (revision, there, here) = (self.revision, header.count, here.get());
             let lost = self.counts.lost.load(Ordering::Relaxed);
-            self.mark = Some(Mark { revision, there, here, lost });
+            self.mark = Some(Mark { revision, there, instance, here, lost });
+            self.is_marked = true;
         }
         self.before = Some(header.count);
     }

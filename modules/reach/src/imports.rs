@@ -24,6 +24,10 @@ use crate::wire::{About, NotSound};
 /// How often something that failed is tried again.
 const TRY_AGAIN_US: u64 = 1_000_000;
 
+/// The most topics of others that are had here at once, those that are gone included: half
+/// as many as the broker has room for.
+const IMPORTS_MAX: usize = 4_096;
+
 /// How often another machine is asked what time it is; and at first.
 const CLOCK_EVERY_US: u64 = 1_000_000;
 const CLOCK_AT_FIRST_US: u64 = 100_000;
@@ -41,6 +45,8 @@ pub(crate) struct Imports {
     /// How much of what others have has been heard.
     heard: u64,
     ledger: Ledger,
+    /// Whether it has said that there is no room for more topics.
+    is_full: bool,
     /// What is in the ledger, of each topic.
     marks: Vec<Option<Mark>>,
 }
@@ -49,6 +55,8 @@ pub(crate) struct Imports {
 pub(crate) struct Import {
     /// What the other machine has announced. None: it is gone.
     revision: Option<u32>,
+    /// When it went.
+    gone_us: u64,
     incoming: Arc<Mutex<Incoming>>,
     pub(crate) counts: Arc<Counts>,
     /// What of it there is here, for as long as it is published.
@@ -62,6 +70,7 @@ pub(crate) struct Import {
 
 struct Here {
     node: Node,
+    about: About,
     /// None: nobody here wants it.
     added: Option<Added>,
 }
@@ -90,6 +99,7 @@ impl Imports {
         communicator: &Arc<Communicator>,
         rules: &Arc<Rules>,
         translates_time: bool,
+        ledger: Ledger,
     ) -> Self {
         Self {
             session: session.clone(),
@@ -100,7 +110,8 @@ impl Imports {
             machines: BTreeMap::new(),
             advertised: BTreeSet::new(),
             heard: 0,
-            ledger: Ledger::open(session),
+            ledger,
+            is_full: false,
             marks: Vec::new(),
         }
     }
@@ -118,7 +129,10 @@ impl Imports {
         self.hear();
         self.ask_clocks()?;
         for (remote, import) in &mut self.topics {
-            let Some(revision) = import.revision else { continue };
+            let Some(revision) = import.revision else {
+                import.leave_if_over(&self.communicator);
+                continue;
+            };
             if import.here.as_ref().is_some_and(|here| here.node.ending().is_some()) {
                 import.leave(&self.communicator);
             }
@@ -134,6 +148,7 @@ impl Imports {
             );
             let rate_mhz = rule.and_then(|rule| rule.rate_hz).map(to_mhz);
             import.follow_demand(&self.communicator, remote, rate_mhz)?;
+            import.follow_priority(&self.session);
         }
         self.note();
         Ok(())
@@ -147,8 +162,8 @@ impl Imports {
         }
         self.marks = marks;
         let entries = self.topics.iter().filter_map(Import::entry).collect();
-        let is_known = |key: &str| self.topics.keys().any(|remote| remote.key() == key);
-        self.ledger.note(entries, is_known);
+        let known: BTreeSet<String> = self.topics.keys().map(Remote::key).collect();
+        self.ledger.note(entries, &known);
     }
 
     /// Compares what is advertised with what was.
@@ -159,31 +174,54 @@ impl Imports {
         }
         self.heard = changes;
         let advertised = self.communicator.advertised();
-        let mut revisions: BTreeMap<&Remote, u32> = BTreeMap::new();
+        let mut revisions: BTreeMap<&Remote, ((bool, bool), u32)> = BTreeMap::new();
         for (remote, revision) in &advertised {
             let Remote { place, source } = remote;
             if self.rules.import(&place.machine, &source.topic, source.instance).is_some() {
-                // Of two the new one is right, which one cannot see: asking tells.
+                // Of two the one is right that came later: the other is that of a reach
+                // which was killed, and not given up yet.
                 let is_new = !self.advertised.contains(&(remote.clone(), *revision));
-                if is_new || !revisions.contains_key(remote) {
-                    revisions.insert(remote, *revision);
-                }
+                let known = self.topics.get(remote).and_then(|import| import.revision);
+                let candidate = ((is_new, known == Some(*revision)), *revision);
+                let best = revisions.entry(remote).or_insert(candidate);
+                *best = candidate.max(*best);
             }
         }
         for (remote, import) in &mut self.topics {
-            let revision = revisions.remove(remote);
+            let revision = revisions.remove(remote).map(|(_, revision)| revision);
             if import.revision != revision {
-                import.leave(&self.communicator);
+                // Of one that is gone the last messages may be on their way.
+                if revision.is_some_and(|revision| !import.is_here_as(revision)) {
+                    import.leave(&self.communicator);
+                }
+                import.gone_us = now_us();
                 (import.revision, import.refused, import.try_at_us) = (revision, None, 0);
             }
         }
-        for (remote, revision) in revisions {
+        if self.topics.len() + revisions.len() > IMPORTS_MAX {
+            // What is gone makes room: the ledger has from where it counted.
+            self.topics.retain(|_, import| import.revision.is_some() || import.here.is_some());
+        }
+        let mut is_full = false;
+        for (remote, (_, revision)) in revisions {
+            if self.topics.len() >= IMPORTS_MAX {
+                if !is_full && !self.is_full {
+                    say(&format_args!(
+                        "{remote} is refused: {IMPORTS_MAX} topics of others are here, and no more"
+                    ));
+                }
+                is_full = true;
+                continue;
+            }
             let mut import = Import::new(revision);
-            if let Some(Entry { instance, mark, .. }) = self.ledger.entry(remote) {
-                import.continue_from(&self.session, remote, *instance, *mark);
+            if let Some(Entry { mark, .. }) = self.ledger.entry(remote) {
+                import.continue_from(&self.session, remote, *mark);
             }
             self.topics.insert(remote.clone(), import);
         }
+        self.is_full = is_full;
+        let places: BTreeSet<&Place> = self.topics.keys().map(|remote| &remote.place).collect();
+        self.machines.retain(|place, _| places.contains(place));
         self.machines.values_mut().for_each(|machine| machine.is_there = false);
         for (remote, import) in &self.topics {
             if import.revision.is_some() {
@@ -216,6 +254,7 @@ impl Import {
         let counts: Arc<Counts> = Arc::default();
         Self {
             revision: Some(revision),
+            gone_us: 0,
             incoming: Arc::new(Mutex::new(Incoming::new(counts.clone()))),
             counts,
             here: None,
@@ -226,7 +265,8 @@ impl Import {
     }
 
     /// Counts on where a reach before us was killed.
-    fn continue_from(&mut self, session: &Session, remote: &Remote, at: Instance, mark: Mark) {
+    fn continue_from(&mut self, session: &Session, remote: &Remote, mark: Mark) {
+        let at = mark.instance;
         self.last_instance = Some(at);
         let topic = &remote.source.topic;
         // Where the node is another one by now, there is nothing to count on from.
@@ -245,8 +285,7 @@ impl Import {
 
     /// What the next reach is to know of it.
     fn entry((remote, import): (&Remote, &Self)) -> Option<Entry> {
-        let (instance, mark) = (import.last_instance?, import.mark()?);
-        Some(Entry { key: remote.key(), instance, mark })
+        Some(Entry { key: remote.key(), mark: import.mark()? })
     }
 
     /// Publishes it here, as soon as it is known what its messages are.
@@ -298,8 +337,9 @@ impl Import {
         let node = Node::open(session.system(), topic, instance, Role::Observer)?;
         let timestamps = Timestamps::of(about.layout());
         let translation = clock.map(|clock| Translation { timestamps, clock });
-        lock(&self.incoming).open(publication, revision, translation);
-        (self.here, self.last_instance) = (Some(Here { node, added: None }), Some(instance));
+        lock(&self.incoming).open(publication, (revision, about.priority), translation);
+        self.here = Some(Here { node, about, added: None });
+        self.last_instance = Some(instance);
         Ok(())
     }
 
@@ -308,6 +348,18 @@ impl Import {
         if self.refused.as_deref() != Some(why) {
             say(&format_args!("{remote} is refused: {why}"));
             self.refused = Some(why.to_string());
+        }
+    }
+
+    fn is_here_as(&self, revision: u32) -> bool {
+        self.here.as_ref().is_some_and(|here| here.about.revision() == revision)
+    }
+
+    /// It is gone over there, and no message of it can come any more.
+    fn leave_if_over(&mut self, communicator: &Communicator) {
+        let Some(here) = &self.here else { return };
+        if here.added.is_none() || lock(&self.incoming).is_over(self.gone_us) {
+            self.leave(communicator);
         }
     }
 
@@ -334,7 +386,10 @@ impl Import {
         let is_wanted = here.node.status().subscribers > 0;
         if is_wanted && here.added.is_none() {
             let incoming = self.incoming.clone();
-            let receive = move |bytes: &[u8]| lock(&incoming).process_received_message(bytes);
+            let receive = move |bytes: Option<&[u8]>| match bytes {
+                Some(bytes) => lock(&incoming).process_received_message(bytes),
+                None => lock(&incoming).end(),
+            };
             here.added = Some(communicator.add_subscription(remote, rate_mhz, receive)?);
         } else if !is_wanted {
             if let Some(added) = here.added.take() {
@@ -343,6 +398,25 @@ impl Import {
             lock(&self.incoming).rest();
         }
         Ok(())
+    }
+
+    /// Publishes it with the priority that it has over there by now: by a publication
+    /// beside the old one, so that no message comes in between. Where there is no room
+    /// for one more, the old one stays.
+    fn follow_priority(&mut self, session: &Session) {
+        let Some(here) = &mut self.here else { return };
+        let priority = lock(&self.incoming).priority();
+        if priority == here.about.priority {
+            return;
+        }
+        here.about.priority = priority;
+        let claim = Claim::Shared(here.node.identity.instance);
+        let options = AdvertiseOptions { claim, priority, queue_length: None };
+        if let Ok(new) = RawPublication::advertise(session, &here.about.metadata, options) {
+            let old = lock(&self.incoming).publish_with(new);
+            // Outside of the lock, as in `leave`.
+            drop(old);
+        }
     }
 
     pub(crate) fn state(&self) -> State {

@@ -1,8 +1,9 @@
 //! The keys of zenoh under which things are.
 //!
 //! Messages are at `uorb/<machine>/<system>/<topic>/<instance>`, for everybody who
-//! reads there, a bridge to ROS 2 included. What machines say to each other about
-//! topics has a word with `@` in its key, which no `*` of zenoh matches:
+//! reads there, a bridge to ROS 2 included; a `delete` there follows the last one when
+//! nobody publishes any more. What machines say to each other about topics has a word
+//! with `@` in its key, which no `*` of zenoh matches:
 //!
 //! | key | |
 //! |---|---|

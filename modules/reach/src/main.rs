@@ -32,6 +32,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use clap::Parser;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
+use uorb_core::broker_side::{Node, Role};
 use uorb_core::{Error, Instance, Session, Topic, now_us};
 use uorb_modules::{Stop, run, say};
 use uorb_msg::ReachStatus;
@@ -40,6 +41,7 @@ use communicator::Communicator;
 use exports::Exports;
 use imports::Imports;
 use keys::{MACHINE_NAME_MAX_BYTES, Place, is_machine_name};
+use ledger::Ledger;
 use rules::{Rule, Rules};
 use tell::Telling;
 
@@ -67,6 +69,8 @@ const PREDECESSOR_US: u64 = 1_000_000;
 
 /// How long to wait before it says that it waits.
 const SAY_AFTER_US: u64 = 1_000_000;
+
+const ANOTHER_RUNS: &str = "a reach runs on this system already; `reach status` says what it does";
 
 /// Topics of this machine on others, and of others on this one.
 #[derive(Parser, Debug)]
@@ -152,12 +156,15 @@ fn reach(
     wait_for_predecessor(session, stop)?;
     raise_descriptor_limit();
     let mut telling = Telling::new(session)?;
-    let Some(communicator) = connect(config, &place, stop)? else { return Ok(()) };
+    give_way(session)?;
+    let Some(communicator) = connect(config, &place, session, stop)? else { return Ok(()) };
     writeln!(out, "[reach] this is {place}")?;
 
     // What this run is called: none before it, and none at the same time elsewhere.
-    let mut exports = Exports::begin(session, &communicator, &rules, now_us() as u32)?;
-    let mut imports = Imports::new(session, &communicator, &rules, options.translate_time);
+    let run = now_us() as u32;
+    let (ledger, brought_in) = Ledger::open(session);
+    let mut exports = Exports::begin(session, &communicator, &rules, (run, &brought_in))?;
+    let mut imports = Imports::new(session, &communicator, &rules, options.translate_time, ledger);
     while !session.has_ended() && stop.sleep_until(now_us() + LOOK_EVERY_US) {
         exports.look()?;
         imports.look()?;
@@ -171,13 +178,14 @@ fn reach(
 fn connect(
     config: zenoh::Config,
     place: &Place,
+    session: &Session,
     stop: &Stop,
 ) -> anyhow::Result<Option<Arc<Communicator>>> {
     let its = place.clone();
     let opening = std::thread::spawn(move || Communicator::open(config, its));
     let (begun_us, mut has_said) = (now_us(), false);
     while !opening.is_finished() {
-        if !stop.sleep_until(now_us() + LOOK_EVERY_US) {
+        if session.has_ended() || !stop.sleep_until(now_us() + LOOK_EVERY_US) {
             return Ok(None);
         }
         if !has_said && now_us() > begun_us + SAY_AFTER_US {
@@ -235,8 +243,19 @@ fn wait_for_predecessor(session: &Session, stop: &Stop) -> anyhow::Result<()> {
     let deadline_us = now_us() + PREDECESSOR_US;
     while session.exists(&ReachStatus::METADATA.name, Instance::FIRST)? {
         if now_us() > deadline_us || !stop.sleep_until(now_us() + LOOK_EVERY_US) {
-            bail!("a reach runs on this system already; `reach status` says what it does");
+            bail!(ANOTHER_RUNS);
         }
+    }
+    Ok(())
+}
+
+/// Of two that have begun at the same time the one stays that is there first.
+fn give_way(session: &Session) -> anyhow::Result<()> {
+    let topic = &ReachStatus::METADATA.name;
+    let node = Node::open(session.system(), topic, Instance::FIRST, Role::Observer)?;
+    let publishers = node.status().publishers;
+    if publishers.first().is_some_and(|first| first.peer != session.peer()) {
+        bail!(ANOTHER_RUNS);
     }
     Ok(())
 }

@@ -1,7 +1,8 @@
 //! The threads on which messages leave.
 //!
 //! One is for what waits for room on the link, and one for what does not, so that
-//! neither holds the other up. The bus never waits for either: between them and it
+//! neither holds the other up. What waits does so for all: while one machine has no room
+//! for a message, no reliable topic leaves for any. The bus never waits for either: between them and it
 //! is each topic's stream, whose queue is the only one, and loses its oldest message
 //! when it is full.
 //!
@@ -19,9 +20,10 @@ use uorb_modules::say;
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 
-use crate::communicator::{Communicator, lock, send_message};
+use crate::communicator::{Communicator, lock, send_end, send_message};
 use crate::counts::Counts;
 use crate::keys::Source;
+use crate::ledger::BroughtIn;
 use crate::rules::Crossing;
 use crate::wire::{Count, Header};
 
@@ -47,6 +49,8 @@ pub(crate) struct Order {
     pub(crate) rate_mhz: Option<u32>,
     /// Counts those who have come to want it: each is sent the newest message.
     pub(crate) newcomers: u32,
+    /// Nobody publishes it any more. Set when all that there is has left.
+    pub(crate) ending: Option<Arc<AtomicBool>>,
     pub(crate) counts: Arc<Counts>,
 }
 
@@ -73,7 +77,7 @@ impl Outgoing {
         name: &str,
         session: &Session,
         communicator: &Arc<Communicator>,
-        run: u32,
+        (run, brought_in): (u32, BroughtIn),
     ) -> std::io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let mut leaving = Leaving {
@@ -81,6 +85,7 @@ impl Outgoing {
             communicator: communicator.clone(),
             shared: shared.clone(),
             run,
+            brought_in,
             followed: BTreeMap::new(),
             refused: BTreeMap::new(),
         };
@@ -108,6 +113,7 @@ struct Leaving {
     communicator: Arc<Communicator>,
     shared: Arc<Shared>,
     run: u32,
+    brought_in: BroughtIn,
     followed: BTreeMap<Source, Followed>,
     /// What could not be followed, and why.
     refused: BTreeMap<Source, String>,
@@ -137,36 +143,55 @@ impl Leaving {
             self.wait();
             // A publisher without a pause does not keep us from all else.
             for _ in 0..TURNS_MAX {
-                let mut has_more = false;
-                for followed in self.followed.values_mut() {
-                    has_more |= followed.send_some(&self.session, self.run);
-                }
-                if !has_more {
+                if !self.send_some(seen) {
                     break;
                 }
             }
         }
     }
 
+    /// Sends some of each topic. A message may have to wait for room, so it looks behind
+    /// each whether there is something else to do. True: there may be more.
+    fn send_some(&mut self, seen: u64) -> bool {
+        let shared = &self.shared;
+        let is_called = || {
+            shared.has_ended.load(Ordering::Relaxed)
+                || shared.changes.load(Ordering::Relaxed) != seen
+        };
+        let mut has_more = false;
+        for followed in self.followed.values_mut() {
+            has_more |= followed.send_some(self.run, &self.brought_in, is_called);
+            if shared.has_ended.load(Ordering::Relaxed) {
+                return false;
+            }
+        }
+        has_more && !is_called()
+    }
+
     /// Follows what is wanted, and nothing else. False: something has to wait.
     fn follow_orders(&mut self) -> bool {
         let orders = lock(&self.shared.orders).clone();
-        self.followed.retain(|source, followed| {
-            orders.get(source).is_some_and(|order| followed.continues(order))
-        });
+        self.followed.retain(|source, _| orders.contains_key(source));
         let mut is_done = true;
         for (source, order) in orders {
-            if let Some(followed) = self.followed.get_mut(&source) {
+            let mut before = self.followed.remove(&source);
+            if let Some(mut followed) = before.take_if(|followed| followed.continues(&order)) {
                 followed.take(order);
+                self.followed.insert(source, followed);
                 continue;
             }
-            match Followed::begin(&self.session, &self.communicator, &source, order) {
+            let generation = before.as_ref().and_then(|before| before.hands_over(&order));
+            let ending = order.ending.clone();
+            let communicator = &self.communicator;
+            match Followed::begin(&self.session, communicator, &source, order, generation) {
                 Ok(followed) => {
                     self.refused.remove(&source);
                     self.followed.insert(source, followed);
                 }
                 Err(why) => {
                     is_done = false;
+                    // What cannot be followed has nothing more to send.
+                    ending.iter().for_each(|ending| ending.store(true, Ordering::Relaxed));
                     self.refuse(source, &why.to_string());
                 }
             }
@@ -201,10 +226,11 @@ impl Followed {
         communicator: &Communicator,
         source: &Source,
         order: Order,
+        generation: Option<u32>,
     ) -> anyhow::Result<Self> {
         let subscription = subscribe(session, source, &order)?;
         let sender = communicator.sender(source, order.crossing)?;
-        let (newest, generation, lost, message) = (None, None, 0, Vec::new());
+        let (newest, lost, message) = (None, 0, Vec::new());
         Ok(Self { order, subscription, sender, newest, generation, lost, message })
     }
 
@@ -213,6 +239,14 @@ impl Followed {
         let same_way = order.rate_mhz.is_some() == self.order.rate_mhz.is_some()
             && order.crossing == self.order.crossing;
         same_way && order.revision == self.order.revision && self.subscription.check().is_ok()
+    }
+
+    /// Up to where what comes after it counts as sent or left out, where a rate takes the
+    /// place of every message or the other way round: what was not sent then was not
+    /// wanted. In all other cases it is lost.
+    fn hands_over(&self, order: &Order) -> Option<u32> {
+        let is_of_a_rate = order.rate_mhz.is_some() || self.order.rate_mhz.is_some();
+        self.generation.filter(|_| is_of_a_rate && order.revision == self.order.revision)
     }
 
     fn take(&mut self, order: Order) {
@@ -229,17 +263,24 @@ impl Followed {
     }
 
     /// Sends what there is, though not without end. True: there may be more.
-    fn send_some(&mut self, session: &Session, run: u32) -> bool {
+    fn send_some(
+        &mut self,
+        run: u32,
+        brought_in: &BroughtIn,
+        is_called: impl Fn() -> bool,
+    ) -> bool {
         for _ in 0..TURN {
             if !self.copy_next() {
+                self.end_if_all_has_left();
                 return false;
             }
             let Some(copied) = self.subscription.last_copied() else { return false };
             let generation = copied.generation.get();
+            let is_again = self.generation == Some(generation);
             let left_out = self.count_up_to(generation);
-            if copied.peer == session.peer() {
-                // It came in by us, to an instance that somebody here has joined.
-                self.order.counts.leave_out(1);
+            if brought_in.has(&copied) {
+                // It came in by a reach, to an instance that somebody here has joined.
+                self.order.counts.leave_out(u32::from(!is_again));
                 continue;
             }
             let header = Header {
@@ -254,8 +295,22 @@ impl Followed {
             self.order.counts.count_message(message.len());
             send_message(&self.sender, message.clone());
             self.newest = Some(message);
+            if is_called() {
+                break;
+            }
         }
         true
+    }
+
+    /// Says so behind the last message, where nobody publishes any more. What a rate
+    /// holds back is not wanted.
+    fn end_if_all_has_left(&self) {
+        let Some(ending) = &self.order.ending else { return };
+        let all_has_left = self.order.rate_mhz.is_some() || self.subscription.pending() == 0;
+        if all_has_left && !ending.load(Ordering::Relaxed) {
+            send_end(&self.sender);
+            ending.store(true, Ordering::Relaxed);
+        }
     }
 
     /// Counts what is missing before this message: it was lost, or else nobody wanted
@@ -266,7 +321,9 @@ impl Followed {
         let lost = self.lost - lost_before;
         counts.count_lost(lost);
         let before = self.generation.replace(generation);
-        let missing = before.map_or(0, |before| generation.wrapping_sub(before).wrapping_sub(1));
+        // One that begins where another has ended begins with the newest, maybe once more.
+        let steps = before.map_or(0, |before| generation.wrapping_sub(before));
+        let missing = steps.saturating_sub(1);
         counts.leave_out(missing.saturating_sub(lost as u32))
     }
 

@@ -38,19 +38,22 @@ fn hear(session: &Session) -> anyhow::Result<Vec<ReachStatus>> {
             if said.index == 0 {
                 all.clear();
             }
+            // There is nothing to say of.
+            if said.count == 0 {
+                return Ok(all);
+            }
             if all.len() == usize::from(said.index) {
                 all.push(*said);
             }
-            if !all.is_empty() && all.len() == usize::from(said.count) {
+            if all.len() == usize::from(said.count) {
                 return Ok(all);
             }
         }
     }
     if all.is_empty() {
-        Ok(all)
-    } else {
         bail!("the reach that runs here says nothing: nobody has let it in yet, or it is stopped")
     }
+    Ok(all)
 }
 
 fn json_of(status: &ReachStatus) -> Value {

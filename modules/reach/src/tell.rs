@@ -1,5 +1,6 @@
 //! Telling the bus how it goes: `reach_status`, a message for each topic and each
-//! machine, all of them once a second. `reach status` and `uorb info` read it.
+//! machine, all of them once a second; or one that says that there is none.
+//! `reach status` and `uorb info` read it.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -65,19 +66,30 @@ impl Telling {
         }));
         let seconds = (now_us - self.told_us) as f64 / 1e6;
         let count = all.len().min(u16::MAX.into()) as u16;
+        if count == 0 {
+            let nothing = ReachStatus { timestamp: now_us, ..ReachStatus::default() };
+            self.publication.publish(&nothing)?;
+        }
+        let before = std::mem::take(&mut self.before);
         for (index, status) in (0..count).zip(all) {
-            let told = self.with_rates(status, seconds);
+            let told = self.with_rates(status, &before, seconds);
             self.publication.publish(&ReachStatus { timestamp: now_us, index, count, ..told })?;
         }
         self.told_us = now_us;
         Ok(())
     }
 
-    fn with_rates(&mut self, status: ReachStatus, seconds: f64) -> ReachStatus {
+    fn with_rates(
+        &mut self,
+        status: ReachStatus,
+        before: &BTreeMap<Subject, (u64, u64)>,
+        seconds: f64,
+    ) -> ReachStatus {
         let ReachStatus { kind, machine, far_system, topic, far_instance, instance, .. } = status;
         let subject = (kind, machine, far_system, topic, far_instance, instance);
         let now = (status.messages, status.bytes);
-        let before = self.before.insert(subject, now).unwrap_or_default();
+        let before = before.get(&subject).copied().unwrap_or_default();
+        self.before.insert(subject, now);
         ReachStatus {
             rate_hz: (now.0.saturating_sub(before.0) as f64 / seconds) as f32,
             rate_kb_s: (now.1.saturating_sub(before.1) as f64 / 1e3 / seconds) as f32,

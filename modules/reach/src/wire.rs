@@ -5,7 +5,7 @@
 //! | 0 | `u8` | the version of this format |
 //! | 1 | `u8` | the priority of the publisher |
 //! | 2 | `u16` | how many messages a node of the topic keeps |
-//! | 4 | `u32` | the revision of the topic: a hash of its layout and of all else that [`About`] says |
+//! | 4 | `u32` | the revision of the topic: a hash of its layout, and of where its generations began |
 //! | 8 | `u32` | how many bytes the message has |
 //! | 12 | `u32` | which run of which reach has sent it |
 //! | 16 | `u32` | the message's generation |
@@ -52,10 +52,10 @@ impl About {
 
     /// Reads what another machine says of a topic.
     pub(crate) fn decode(bytes: &[u8], topic: &str, revision: u32) -> Result<Self, NotSound> {
-        if fnv(bytes) != revision {
+        let about: Self = postcard::from_bytes(bytes).map_err(|_| NotSound::Description)?;
+        if about.revision() != revision {
             return Err(NotSound::Revision);
         }
-        let about: Self = postcard::from_bytes(bytes).map_err(|_| NotSound::Description)?;
         if about.metadata.name != topic {
             return Err(NotSound::Name);
         }
@@ -63,9 +63,12 @@ impl About {
         Ok(about)
     }
 
-    /// What tells it from what was, or will be, said of the same topic.
+    /// What tells its messages from those that the topic had, or will have. The priority
+    /// is none of it, which changes as publishers come and go: what is on its way then is
+    /// as good as before.
     pub(crate) fn revision(&self) -> u32 {
-        fnv(&self.encode())
+        let what = (&self.metadata.layout, self.counts_from);
+        fnv(&postcard::to_stdvec(&what).expect("a vector takes any description"))
     }
 
     pub(crate) fn layout(&self) -> &Layout {
@@ -205,6 +208,12 @@ mod tests {
         let (bytes, revision) = (about.encode(), about.revision());
         assert_eq!(About::decode(&bytes, "logger_status", revision).unwrap(), about);
         assert!(matches!(About::decode(&bytes, "other", revision), Err(NotSound::Name)));
+        let stale = About::decode(&bytes, "logger_status", revision + 1);
+        assert!(matches!(stale, Err(NotSound::Revision)));
+        let joined = About { priority: Priority::HIGH, ..about.clone() };
+        assert_eq!(joined.revision(), revision, "another publisher, the same messages");
+        let anew = About { counts_from: (1, 3), ..about.clone() };
+        assert_ne!(anew.revision(), revision, "another node");
         for end in 0..bytes.len() {
             assert!(About::decode(&bytes[..end], "logger_status", revision).is_err());
         }

@@ -114,3 +114,29 @@ fn what_is_no_message_is_counted_and_touches_no_node() {
     assert!((1..10).all(|number| node(number).is_err()));
     drop(tokens);
 }
+
+#[test]
+fn however_many_topics_somebody_announces_there_is_an_end_and_a_word_about_it() {
+    let (mut a, b) = (Bus::start(), Bus::start());
+    let free = TcpListener::bind("127.0.0.1:0").unwrap();
+    let at = format!("tcp/{}", free.local_addr().unwrap());
+    drop(free);
+    let mut importing = reach(&b, "b", &["--listen", &at, "--import", "*/*"]);
+    let stranger = stranger(&at);
+    let tokens: Vec<_> = (0..4_100)
+        .map(|number| format!("uorb/evil/0/topic{}/{}/@topic/1", number / 10, number % 10))
+        .map(|token| stranger.liveliness().declare_token(token).wait().unwrap())
+        .collect();
+
+    let words = importing.word().expect("it says so");
+    assert!(words.contains("evil/0/topic") && words.contains("is refused: 4096 topics"), "{words}");
+
+    // They make room again when they are gone.
+    drop(tokens);
+    let _a = reach(&a, "a", &["--connect", &at, "--export", "*"]);
+    let _plain = a.advertise::<Plain>();
+    eventually("it is advertised there", || {
+        let node = Node::open(&b.system, "plain", Instance::FIRST, Role::Observer);
+        node.is_ok_and(|node| !node.status().publishers.is_empty())
+    });
+}
