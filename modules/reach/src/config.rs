@@ -22,6 +22,18 @@ const LEASE_MS: u64 = 4_000;
 const SOCKET_BYTES: u32 = 32 << 10;
 const BATCH_BYTES: u32 = 8 << 10;
 
+/// An endpoint that can work: zenoh tries others again and again, and says nothing.
+pub(crate) fn endpoint(text: &str) -> Result<String, String> {
+    let way = ["tcp/", "tls/"].into_iter().find_map(|way| text.strip_prefix(way));
+    // Options of zenoh's may stand behind it.
+    let address = way.map(|way| way.split(['?', '#']).next().unwrap_or(way));
+    let is_address = |(host, port): (&str, &str)| !host.is_empty() && port.parse::<u16>().is_ok();
+    match address.and_then(|address| address.rsplit_once(':')).is_some_and(is_address) {
+        true => Ok(text.to_string()),
+        false => Err("it takes tcp/HOST:PORT or tls/HOST:PORT".into()),
+    }
+}
+
 pub(crate) fn config(
     connect: &[String],
     listen: &[String],
@@ -88,6 +100,16 @@ mod tests {
 
     fn at(config: &Config, key: &str) -> String {
         config.get_json(key).unwrap()
+    }
+
+    #[test]
+    fn an_endpoint_has_a_way_a_host_and_a_port() {
+        for good in ["tcp/[::]:7447", "tls/gcs.local:1", "tcp/127.0.0.1:0#so_sndbuf=1"] {
+            assert_eq!(endpoint(good).as_deref(), Ok(good));
+        }
+        for bad in ["gcs:7447", "udp/gcs:7447", "tcp/gcs", "tcp/:7447", "tcp/gcs:70000", ""] {
+            assert!(endpoint(bad).is_err(), "{bad}");
+        }
     }
 
     #[test]

@@ -109,11 +109,11 @@ struct Options {
 
     /// Where another reach, or a router of zenoh, listens: tcp/HOST:PORT, tls/HOST:PORT.
     /// May be repeated
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", value_parser = config::endpoint)]
     connect: Vec<String>,
 
     /// Where to listen; nowhere, if not given. May be repeated
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", value_parser = config::endpoint)]
     listen: Vec<String>,
 
     /// A configuration of zenoh, in JSON5: what it says has the last word
