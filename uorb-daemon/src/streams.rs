@@ -289,14 +289,12 @@ impl Keeper<'_> {
     /// Cleans up what a broker before us has left, but for what the dead may have
     /// sent.
     fn begin(&mut self) {
-        fail_point!("stream.cleaning");
-        if let Ok(member) = &self.member {
-            member.clean_up(|peer, pid| {
-                self.dead.push(Dead::before_us(peer, pid));
-                true
-            });
-            fail_point!("stream.cleaned");
-        }
+        let mut dead = Vec::new();
+        self.clean_up_after_all_but(|peer, pid| {
+            dead.push(Dead::before_us(peer, pid));
+            true
+        });
+        self.dead = dead;
     }
 
     fn make(&mut self, key: &NodeKey, node: Arc<Node>) -> Result<(), String> {
@@ -380,16 +378,20 @@ impl Keeper<'_> {
     }
 
     fn clean_up(&mut self) {
+        // One of ours that is dead, and of whose death nobody has told, has sent what
+        // is not saved yet.
+        self.clean_up_after_all_but(|peer, pid| {
+            self.ours.get(&peer) == Some(&pid) || self.dead.iter().any(|dead| dead.is(peer, pid))
+        });
+        self.cleaned = Instant::now();
+    }
+
+    fn clean_up_after_all_but(&self, is_spared: impl FnMut(u16, u32) -> bool) {
         fail_point!("stream.cleaning");
         if let Ok(member) = &self.member {
-            // One of ours that is dead, and of whose death nobody has told, has sent
-            // what is not saved yet.
-            member.clean_up(|peer, pid| {
-                self.ours.get(&peer) == Some(&pid) || self.dead.iter().any(|d| d.is(peer, pid))
-            });
+            member.clean_up(is_spared);
             fail_point!("stream.cleaned");
         }
-        self.cleaned = Instant::now();
     }
 
     /// Looks who uses the streams.
