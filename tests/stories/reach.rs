@@ -531,7 +531,7 @@ fn what_was_published_while_nobody_could_send_it_is_counted_and_the_newest_comes
 
 #[test]
 fn of_two_that_begin_at_the_same_time_one_runs() {
-    let bus = Bus::start();
+    let mut bus = Bus::start();
     let listen = ["--listen", "tcp/127.0.0.1:0", "--export", "*"];
     for _ in 0..10 {
         let mut two = [0, 1].map(|_| bus.spawn_heard("reach", &listen));
@@ -544,6 +544,7 @@ fn of_two_that_begin_at_the_same_time_one_runs() {
                 None => reach.end().failed(&["runs on this system already"]),
             }
         }
+        eventually("the broker knows of the death", || !bus.is_advertised("reach_status"));
     }
 }
 
