@@ -76,6 +76,8 @@ mod replay;
 mod replay_ways;
 /// Processes that the broker cannot trust, and a broker in need.
 mod strangers;
+/// Streams whose publishers and followers are killed.
+mod stream_deaths;
 /// Streams: every message, without a copy.
 mod streams;
 /// Programs on a terminal.

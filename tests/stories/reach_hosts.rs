@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use serde_json::Value;
-use uorb_core::{StreamSubscription, Topic, now_us, poll};
+use uorb_core::{Publication, StreamSubscription, Topic, now_us, poll};
 use uorb_msg::{SensorGyro, VehicleAttitude};
 use uorb_tests::{Actor, Host, Link, PATIENCE, Plain, Stamped, Weather, eventually};
 
@@ -135,17 +135,31 @@ fn over_a_poor_link_reliable_topics_lose_nothing_and_the_others_stay_fresh() {
     }
 }
 
-#[test]
-fn what_a_publisher_has_sent_arrives_over_a_slow_link_though_it_ends() {
-    const MESSAGES: u64 = 500;
-    let Some(([mut a, mut b], link)) = two(Weather::FINE) else { return };
-    let _sending = reach(&a, "a", &["--listen", FIRST, "--export", "*,reliable"]);
-    let _receiving = reach(&b, "b", &["--connect", FIRST, "--import", "a/*"]);
+/// Everything of the first host goes to the second, and waits for room on the way.
+fn reliably(a: &Host, b: &Host) -> [Actor; 2] {
+    let sending = reach(a, "a", &["--listen", FIRST, "--export", "*,reliable"]);
+    [sending, reach(b, "b", &["--connect", FIRST, "--import", "a/*"])]
+}
+
+/// A publisher here and a follower there, who has its first message.
+fn first_message(
+    a: &mut Host,
+    b: &mut Host,
+) -> (Publication<Stamped>, StreamSubscription<Stamped>) {
     let mut stamped = a.bus.advertise::<Stamped>();
     stamped.publish(&Stamped::new(1, 0)).unwrap();
     eventually("it is advertised there", || b.bus.is_advertised("stamped"));
     let mut there = b.bus.stream::<Stamped>();
     assert_eq!(next(&mut there).count, 1);
+    (stamped, there)
+}
+
+#[test]
+fn what_a_publisher_has_sent_arrives_over_a_slow_link_though_it_ends() {
+    const MESSAGES: u64 = 500;
+    let Some(([mut a, mut b], link)) = two(Weather::FINE) else { return };
+    let _reaches = reliably(&a, &b);
+    let (mut stamped, mut there) = first_message(&mut a, &mut b);
 
     // They take some seconds.
     link.set(Weather { bits_per_second: 400_000, ..Weather::FINE });
@@ -164,13 +178,8 @@ fn what_a_publisher_has_sent_arrives_over_a_slow_link_though_it_ends() {
 #[test]
 fn a_link_that_is_cut_for_10_s_comes_back_by_itself_and_what_is_missing_is_counted() {
     let Some(([mut a, mut b], link)) = two(Weather::FINE) else { return };
-    let _sending = reach(&a, "a", &["--listen", FIRST, "--export", "*,reliable"]);
-    let _receiving = reach(&b, "b", &["--connect", FIRST, "--import", "a/*"]);
-    let mut stamped = a.bus.advertise::<Stamped>();
-    stamped.publish(&Stamped::new(1, 0)).unwrap();
-    eventually("it is advertised there", || b.bus.is_advertised("stamped"));
-    let mut there = b.bus.stream::<Stamped>();
-    assert_eq!(next(&mut there).count, 1);
+    let _reaches = reliably(&a, &b);
+    let (mut stamped, mut there) = first_message(&mut a, &mut b);
 
     link.set(Weather::CUT);
     let cut = Instant::now();

@@ -2,9 +2,9 @@
 //!
 //! One is for what waits for room on the link, and one for what does not, so that
 //! neither holds the other up. What waits does so for all: while one machine has no room
-//! for a message, no reliable topic leaves for any. The bus never waits for either: between them and it
-//! is each topic's stream, whose queue is the only one, and loses its oldest message
-//! when it is full.
+//! for a message, no reliable topic leaves for any. The bus never waits for either:
+//! between them and it is each topic's stream, whose queue is the only one, and loses
+//! its oldest message when it is full.
 //!
 //! A thread looks at its topics every 2 ms and never sleeps on their bells, so
 //! publishers make no system call for it. Express topics ring.

@@ -44,8 +44,8 @@ UORB_DIR and UORB_SYSTEM name the system, as for uorb.";
 #[derive(Parser)]
 #[command(name = "commander", version, after_help = EXAMPLES)]
 struct Arguments {
-    /// Number of the vehicle, as for mavlink: it is 1 more in MAVLink [default: the
-    /// system's number]
+    /// Number of the vehicle, 0 to 249, as for mavlink: it is 1 more in MAVLink
+    /// [default: the system's number]
     #[arg(short = 'i', value_name = "N")]
     vehicle: Option<u32>,
 }
