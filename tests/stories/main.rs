@@ -46,6 +46,8 @@ mod listening;
 mod log_readers;
 /// The MAVLink bridge: links, and what goes out.
 mod mavlink;
+/// The MAVLink bridge in the background.
+mod mavlink_background;
 /// The MAVLink bridge: pymavlink, MAVSDK and MAVProxy.
 mod mavlink_clients;
 /// The MAVLink bridge: what comes in.
